@@ -1,0 +1,174 @@
+"""A mission time no trajectory can beat, whatever its station sequence.
+
+Seen from above, a trajectory never leaves the union of the stations' discs, each the largest cross-section of its
+ball inside the altitude band. So its path is at least L = hypot(L2, dz) long, L2 the shortest path through that union,
+dz the climb between the ends. And no vehicle covers L faster than one that speeds up, cruises and brakes in a line:
+L/v + v/a from rest to rest, 2 sqrt(L/a) where it never reaches v, more where jerk is limited.
+The bound holds for antennas at any height; it is tight for antennas below the band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.navmesh import NavigationMesh
+from planner.problem import Limits, Problem
+
+Array = NDArray[np.float64]
+
+# What rounding may have added to a length; taken off, so that the bound stays one.
+ROUNDING = 1e-9
+# Stations above which the union is not meshed for the bound alone (about 20 microseconds each).
+MAX_MESH_STATIONS = 100_000
+
+
+@dataclass(frozen=True)
+class LowerBound:
+    """``time_s`` and ``length_m``: what no trajectory can beat.
+
+    ``path_m`` ``(k, 2)`` is the shortest path through the union of discs, seen from above, where ``exact``. Otherwise
+    the search was cut short, or there is no path, and the figures bound all the same.
+    """
+
+    time_s: float
+    length_m: float
+    path_m: Array | None
+    exact: bool
+
+
+def lower_bound(problem: Problem, *, max_expansions: int = 1_000_000, upper_length_m: float = inf) -> LowerBound:
+    """The bound of a problem, from its ``bound_ranges_m`` (default its ranges), limits and start state.
+
+    ``max_expansions`` ends the search of a large map early; the bound is then weaker and ``exact`` is False.
+    ``upper_length_m``: the length of a path known to exist; stations beyond its reach are left out.
+    """
+    offset = problem.destination_m - problem.start_m
+    straight = float(np.linalg.norm(offset))
+    length, path, exact = straight, None, False
+    if problem.station_count <= MAX_MESH_STATIONS:
+        centres, radii = discs_seen_from_above(
+            problem, problem.ranges_m if problem.bound_ranges_m is None else problem.bound_ranges_m
+        )
+        near = _within_reach(problem, centres, radii, upper_length_m)
+        if near.any():
+            found = NavigationMesh(centres[near], radii[near]).shortest_path(
+                tuple(problem.start_m[:2]), tuple(problem.destination_m[:2]), max_expansions=max_expansions
+            )
+            if found is not None:
+                length = float(np.hypot(found.length_m, offset[2])) * (1.0 - ROUNDING)
+                path, exact = (found.points_m, True) if found.exact else (None, False)
+    return LowerBound(max(_times_s(problem, length, offset)), length, path, exact)
+
+
+def discs_seen_from_above(problem: Problem, ranges_m: Array) -> tuple[Array, Array]:
+    """Largest cross-section of each station's ball in the band: centres ``(M', 2)``, radii ``(M',)``.
+
+    An elevation mask e takes away what lies below its cone: then the widest place is at h + R sin e. Stations that
+    do not reach the band are left out.
+    """
+    height = problem.station_positions_m[:, 2]
+    low, high = problem.limits.min_alt_m, problem.limits.max_alt_m
+    if problem.min_elevation_deg is None:
+        widest = np.clip(height, low, high)
+        cone = np.full(len(height), inf)
+    else:
+        limited = problem.min_elevation_deg >= 0.0
+        elevation = np.radians(np.maximum(problem.min_elevation_deg, 0.0))
+        widest = np.clip(height + ranges_m * np.sin(elevation), low, high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cone = np.where(elevation > 0, (widest - height) / np.tan(elevation), inf)
+        cone[limited & (widest < height)] = -1.0
+    square = ranges_m**2 - (widest - height) ** 2
+    radii = np.minimum(np.sqrt(np.maximum(square, 0.0)), cone)
+    reach = (square >= 0) & (radii >= 0)
+    return problem.station_positions_m[reach, :2], radii[reach]
+
+
+def fastest_time_s(
+    limits: Limits, length_m: float, start_speed_m_s: float = 0.0, start_accel_m_s2: float = 0.0
+) -> float:
+    """Least time for a path of at least ``length_m`` that ends at rest, from a speed and size of acceleration.
+
+    The speed at time t after the start is at most what the largest acceleration gives, itself at most what the
+    jerk limit lets it grow to; likewise backwards from the end. Nothing is assumed about the path's shape.
+    """
+    top = _top_speed_m_s(limits)
+    start = min(start_speed_m_s, top)
+
+    def ends(peak: float) -> tuple[float, float]:
+        up = _ramp(limits, start, min(start_accel_m_s2, limits.max_accel_m_s2), peak)
+        down = _ramp(limits, 0.0, 0.0, peak)
+        return up[0] + down[0], up[1] + down[1]
+
+    time, distance = ends(top)
+    if distance <= length_m:
+        return time + (length_m - distance) / top
+    low, high = start, top
+    if ends(low)[1] >= length_m:
+        return ends(low)[0]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if ends(middle)[1] < length_m else (low, middle)
+    return ends(low)[0]
+
+
+def _ramp(limits: Limits, speed: float, accel: float, peak: float) -> tuple[float, float]:
+    """Time and distance from ``speed`` to ``peak`` as fast as acceleration and jerk allow (``peak`` >= ``speed``)."""
+    time = distance = 0.0
+    top = limits.max_accel_m_s2
+    if limits.max_jerk_m_s3 is not None and accel < top:
+        jerk = limits.max_jerk_m_s3
+        full = (top - accel) / jerk
+        reached = (-accel + sqrt(accel**2 + 2.0 * jerk * (peak - speed))) / jerk
+        time = min(full, reached)
+        distance = speed * time + accel * time**2 / 2.0 + jerk * time**3 / 6.0
+        speed = speed + accel * time + jerk * time**2 / 2.0
+        if reached <= full:
+            return time, distance
+    rest = max(peak - speed, 0.0) / top
+    return time + rest, distance + 0.5 * (speed + peak) * rest
+
+
+def _top_speed_m_s(limits: Limits) -> float:
+    """Largest speed over ground in any direction."""
+    if limits.max_airspeed_m_s is None:
+        return limits.max_speed_m_s
+    return min(limits.max_speed_m_s, limits.max_airspeed_m_s + float(np.hypot(*limits.wind_m_s)))
+
+
+def _times_s(problem: Problem, length_m: float, offset_m: Array) -> list[float]:
+    """Every bound on the time that applies; the largest is the tightest."""
+    limits, factor = problem.limits, problem.bound_speed_factor
+    times = [
+        fastest_time_s(
+            limits,
+            length_m / factor,
+            float(np.linalg.norm(problem.start_velocity_m_s)),
+            float(np.linalg.norm(problem.start_acceleration_m_s2)),
+        )
+    ]
+    climb = float(offset_m[2])
+    vertical = limits.max_climb_m_s if climb > 0 else limits.max_descent_m_s
+    if vertical is not None:
+        times.append(abs(climb) / vertical)
+    if limits.max_airspeed_m_s is not None:
+        # In the air's frame the vehicle ends at offset - wind T, no further than airspeed T: the least such T.
+        wind = np.array([*limits.wind_m_s, 0.0])
+        offset = offset_m / factor
+        slack = limits.max_airspeed_m_s**2 - float(wind @ wind)
+        against = -float(offset @ wind)
+        if slack > 0:
+            times.append((against + sqrt(against**2 + slack * float(offset @ offset))) / slack)
+    return times
+
+
+def _within_reach(problem: Problem, centres: Array, radii: Array, upper_length_m: float) -> NDArray[np.bool_]:
+    """Discs that a path of ``upper_length_m`` from start to destination can touch."""
+    start, end = problem.start_m[:2], problem.destination_m[:2]
+    around = np.linalg.norm(centres - start, axis=1) + np.linalg.norm(centres - end, axis=1)
+    near: NDArray[np.bool_] = around - 2.0 * radii <= upper_length_m * (1.0 + 1e-9)
+    return near

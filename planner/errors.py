@@ -1,0 +1,50 @@
+"""What the planner raises.
+
+PlannerError
+├── ProblemError        the problem itself makes no sense (a fault of the caller)
+├── InfeasibleError     no trajectory exists; says why, where and by how much
+└── SolverError         a numerical solver gave up; callers fall back to the next method
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+class PlannerError(Exception):
+    """Base of everything the planner raises on purpose."""
+
+
+class ProblemError(PlannerError, ValueError):
+    """The problem is malformed: a shape, a sign or a value that is not finite."""
+
+
+class SolverError(PlannerError, RuntimeError):
+    """A numerical solver did not return a usable answer."""
+
+
+@dataclass(frozen=True)
+class Infeasibility:
+    """Why no trajectory exists, in the words and numbers an operator needs.
+
+    ``reason`` is one of ``"start_uncovered"``, ``"destination_uncovered"``, ``"start_altitude"``,
+    ``"destination_altitude"``, ``"broken_chain"``, ``"limits"``. ``stations`` are station indices of the
+    problem (none, one or two). ``gap_m`` is how much range is missing between the two stations, or between
+    the station and the point. ``position_m`` ``(3,)`` is where. ``fix`` is the smallest single remedy as
+    data, e.g. ``{"action": "raise_range", "station": 3, "by_m": 12.5}``; station indices as above.
+    """
+
+    reason: str
+    message: str
+    stations: tuple[int, ...] = ()
+    gap_m: float | None = None
+    position_m: tuple[float, float, float] | None = None
+    fix: dict[str, object] | None = None
+
+
+class InfeasibleError(PlannerError):
+    """No trajectory of the problem exists; ``.infeasibility`` says why."""
+
+    def __init__(self, infeasibility: Infeasibility) -> None:
+        super().__init__(infeasibility.message)
+        self.infeasibility = infeasibility

@@ -1,0 +1,103 @@
+"""A polyline along a station sequence: where each handover could be.
+
+It is the first guess of the joint problem and prices a sequence before anything is solved. Where handovers cost
+nothing it is the shortest one (the paper's P4). Otherwise every lens gets a grid of points, and dynamic programming
+finds the fastest way through them, at the prices of `planner.chords`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.bound import fastest_time_s
+from planner.chords import Chords, chords, leaves_after, leg_times_s
+from planner.corridor import build_corridor
+from planner.paper.refuge import find_refuges
+from planner.paper.waypoints import polyline_length_m, shortest_polyline
+from planner.problem import Problem
+
+Array = NDArray[np.float64]
+
+# Points of a lens: along its chord, and across.
+ALONG = np.linspace(-1.0 + 1e-6, 1.0 - 1e-6, 11)
+ACROSS = np.array([0.1, 0.5, 0.9])
+
+
+def polyline_along(problem: Problem, sequence: Sequence[int], *, inwards: float = 0.0) -> tuple[Array, float]:
+    """Start, a point in every lens of the sequence, destination: ``(L + 1, 3)``, and the mission time expected (s).
+
+    ``inwards`` from 0 to 1 moves the handovers towards the deepest points of their lenses: a less direct polyline with
+    more room around its bends. The expected time is without that.
+    """
+    limits = problem.limits
+    stations = np.asarray(sequence, dtype=np.int64)
+    plain = build_corridor(replace(problem, min_overlap_s=0.0, min_tenure_s=0.0), sequence)
+    if len(stations) == 1 or not priced(problem):
+        polyline = shortest_polyline(problem, plain)
+        estimate = fastest_time_s(limits, polyline_length_m(polyline))
+    else:
+        lens = chords(problem, stations[:-1], stations[1:])
+        flat, estimate = _best_on_grid(problem, stations, lens)
+        # Speeding up and braking lose half of v/a each.
+        estimate += limits.max_speed_m_s / limits.max_accel_m_s2
+        inner = np.column_stack([flat, _altitudes(problem, stations, lens, flat)])
+        polyline = np.concatenate([problem.start_m[None], inner, problem.destination_m[None]])
+    if inwards > 0.0 and len(stations) > 1:
+        polyline[1:-1] += inwards * (find_refuges(problem, plain).points_m - polyline[1:-1])
+    return polyline, estimate
+
+
+def priced(problem: Problem) -> bool:
+    """True when handovers cost time."""
+    return problem.min_overlap_s > 0.0 or problem.min_tenure_s > 0.0
+
+
+def _best_on_grid(problem: Problem, stations: NDArray[np.int64], lens: Chords) -> tuple[Array, float]:
+    """Dynamic programming: where every handover is, seen from above, and the time expected at full speed otherwise."""
+    layers = lens.lens_points(ALONG, ACROSS)
+    centres = problem.station_positions_m[:, :2]
+    cost = np.zeros(1)
+    choices: list[NDArray[np.int64]] = []
+    points = [problem.start_m[None, :2], *layers, problem.destination_m[None, :2]]
+    for leg in range(len(stations)):
+        p, q = points[leg][:, None], points[leg + 1][None]
+        length = np.linalg.norm(q - p, axis=-1)
+        out = into = np.full(length.shape, np.inf)
+        if leg > 0:
+            out = leaves_after(p, q, length, centres[stations[leg - 1]], lens.radius_first[leg - 1])
+        if leg < len(stations) - 1:
+            into = leaves_after(q, p, length, centres[stations[leg + 1]], lens.radius_second[leg])
+        total = cost[:, None] + leg_times_s(problem, length, out, into)
+        choice = np.argmin(total, axis=0)
+        cost = total[choice, np.arange(total.shape[1])]
+        choices.append(choice)
+    best = np.empty((len(layers), 2))
+    at = int(choices[-1][0])
+    for leg in range(len(layers) - 1, -1, -1):
+        best[leg] = layers[leg][at]
+        at = int(choices[leg][at])
+    return best, float(cost[0])
+
+
+def _altitudes(problem: Problem, stations: NDArray[np.int64], lens: Chords, flat: Array) -> Array:
+    """Altitudes of the handovers: on the line from start to destination where both ranges allow, else nearest to it."""
+    ends = np.concatenate([problem.start_m[None, :2], flat, problem.destination_m[None, :2]])
+    travelled = np.cumsum(np.linalg.norm(np.diff(ends, axis=0), axis=1))
+    share = travelled[:-1] / max(float(travelled[-1]), 1e-9)
+    wanted = problem.start_m[2] + share * (problem.destination_m[2] - problem.start_m[2])
+    low = np.full(len(flat), problem.limits.min_alt_m)
+    high = np.full(len(flat), problem.limits.max_alt_m)
+    for side in (stations[:-1], stations[1:]):
+        position = problem.station_positions_m[side]
+        away = np.linalg.norm(flat - position[:, :2], axis=1)
+        reach = np.sqrt(np.maximum(problem.ranges_m[side] ** 2 - away**2, 0.0))
+        low, high = np.maximum(low, position[:, 2] - reach), np.minimum(high, position[:, 2] + reach)
+        if problem.min_elevation_deg is not None:
+            slope = np.tan(np.radians(np.maximum(problem.min_elevation_deg[side], 0.0)))
+            heard = position[:, 2] + slope * away
+            low = np.where(problem.min_elevation_deg[side] >= 0.0, np.maximum(low, heard), low)
+    return np.where(low <= high, np.clip(wanted, low, high), lens.alt_m)

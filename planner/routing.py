@@ -1,0 +1,205 @@
+"""The upper level: which stations, in which order. Several sequences, best expected first.
+
+Where a handover costs nothing (no minimum overlap, no minimum tenure) the best corridor holds the shortest path
+through the union of ranges, so the sequence is read off that path: as few stations as cover it. Where handovers cost
+time, and for further sequences to compare with, the portal graph prices every leg.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from planner.bound import LowerBound, lower_bound
+from planner.chords import leg_times_s
+from planner.discs import covering_stations, disc_radius_m
+from planner.errors import InfeasibleError
+from planner.lens import MIN_LENS_M, AdjacentPairs, adjacent_pairs, diagnose, lens_depth_m
+from planner.polyline import priced
+from planner.portals import MAX_LEGS, PortalGraph, Route
+from planner.problem import Problem
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+__all__ = ["MIN_LENS_M", "Route", "candidate_routes", "geodesic_sequence", "is_chain", "select_stations"]
+
+# Above this many pairs of stations that meet, a coarse graph first leaves out stations far from any good path.
+MAX_PAIRS = 3_000
+# How much slower than the best a chain of masts may be for its stations to stay: a part of it, and seconds.
+COARSE_SLACK, COARSE_SLACK_S = 0.02, 30.0
+# At least so many stations are kept, however densely they overlap.
+MIN_STATIONS = 100
+
+
+def candidate_routes(problem: Problem, count: int = 1, *, bound: LowerBound | None = None) -> list[Route]:
+    """Up to ``count`` different station sequences worth planning, best expected first; never empty.
+
+    Raises `InfeasibleError` when no sequence exists.
+    """
+    routes: list[Route] = []
+    if not priced(problem):
+        bound = lower_bound(problem) if bound is None else bound
+        sequence = None if bound.path_m is None else geodesic_sequence(problem, bound.path_m)
+        if sequence is not None and (problem.max_handovers is None or len(sequence) <= problem.max_handovers + 1):
+            routes.append(Route(sequence, bound.length_m / problem.limits.max_speed_m_s))
+    if len(routes) < count:
+        known = {route.sequence for route in routes}
+        stations, graph = _graph(problem)
+        for route in graph.routes(count):
+            sequence = tuple(int(stations[k]) for k in route.sequence)
+            if sequence not in known:
+                routes.append(Route(sequence, route.estimate_s))
+    if not routes:
+        infeasibility = diagnose(problem)
+        if infeasibility is not None:
+            raise InfeasibleError(infeasibility)
+        raise AssertionError("the ranges chain together, but no route was found")
+    return routes[:count]
+
+
+def is_chain(problem: Problem, sequence: Sequence[int]) -> bool:
+    """True when the ends lie in the first and last range and every two neighbours share a lens."""
+    stations = np.asarray(sequence, dtype=np.int64)
+    if stations[0] not in covering_stations(problem, problem.start_m):
+        return False
+    if stations[-1] not in covering_stations(problem, problem.destination_m):
+        return False
+    return bool((lens_depth_m(problem, stations[:-1], stations[1:]) >= MIN_LENS_M).all())
+
+
+def geodesic_sequence(problem: Problem, path_m: Array) -> tuple[int, ...] | None:
+    """The fewest stations whose ranges cover a path ``(k, 2)`` seen from above, in order.
+
+    Of equally few, those whose spans along the path overlap most. None when the ranges of the problem itself (which
+    may be smaller than the ones the path was found in) or the antennas' heights leave a gap.
+    """
+    radii = disc_radius_m(problem, np.arange(problem.station_count), problem.disc_plane_m())
+    enter, leave = _spans(path_m, problem.station_positions_m[:, :2], radii)
+    on_path = np.flatnonzero(leave > enter)
+    length = float(np.linalg.norm(np.diff(path_m, axis=0), axis=1).sum())
+    # At a corner two ranges meet in one point, which the mesh knows up to rounding: spans may just miss each other.
+    for slack in (1e-6, 1e-3, 1.0):
+        sequence = _fewest(problem, on_path, enter, leave, length, slack)
+        if sequence is not None:
+            return sequence
+    return None
+
+
+def _spans(path_m: Array, centres: Array, radii: Array) -> tuple[Array, Array]:
+    """Where along the path ``(k, 2)`` it enters and leaves each disc (one span: shortest paths do not come back)."""
+    enter, leave = np.full(len(radii), np.inf), np.full(len(radii), -np.inf)
+    travelled = 0.0
+    for a, b in pairwise(path_m):
+        length = float(np.linalg.norm(b - a))
+        if length == 0.0:
+            continue
+        unit = (b - a) / length
+        middle = (centres - a) @ unit
+        square = radii**2 - (((centres - a) ** 2).sum(axis=1) - middle**2)
+        half = np.sqrt(np.maximum(square, 0.0))
+        low, high = np.maximum(middle - half, 0.0), np.minimum(middle + half, length)
+        hit = (square >= 0.0) & (low <= high)
+        enter[hit] = np.minimum(enter[hit], travelled + low[hit])
+        leave[hit] = np.maximum(leave[hit], travelled + high[hit])
+        travelled += length
+    return enter, leave
+
+
+def _fewest(
+    problem: Problem, on_path: Indices, enter: Array, leave: Array, length: float, slack: float
+) -> tuple[int, ...] | None:
+    sources = set(covering_stations(problem, problem.start_m).tolist())
+    targets = set(covering_stations(problem, problem.destination_m).tolist())
+    both = sorted(sources & targets)
+    if both:
+        deepest = [float(problem.ranges_m[k] - _farthest_end(problem, k)) for k in both]
+        return (both[int(np.argmax(deepest))],)
+    # Least (legs, sum of how thin the handovers are) to reach each span. A handover leads to a span that ends later, so
+    # spans met in order of their ends are final when met.
+    order = on_path[np.lexsort((on_path, leave[on_path]))]
+    cost = {k: (1, 0.0) for k in order.tolist() if k in sources and enter[k] <= slack}
+    before: dict[int, int] = {}
+    for at, k in enumerate(order.tolist()):
+        if k not in cost:
+            continue
+        nexts = order[at + 1 :]
+        nexts = nexts[enter[nexts] <= leave[k] + slack]
+        if not len(nexts):
+            continue
+        depths = lens_depth_m(problem, np.full(len(nexts), k), nexts)
+        for m in nexts[depths >= MIN_LENS_M].tolist():
+            overlap = max(float(leave[k] - enter[m]), 0.0)
+            onward = (cost[k][0] + 1, cost[k][1] + 1.0 / (1.0 + overlap))
+            if m not in cost or onward < cost[m]:
+                cost[m] = onward
+                before[m] = k
+    ends = [k for k in order.tolist() if k in cost and k in targets and leave[k] >= length - slack]
+    if not ends:
+        return None
+    path = [min(ends, key=lambda k: (cost[k], k))]
+    while path[-1] in before:
+        path.append(before[path[-1]])
+    return tuple(path[::-1])
+
+
+def _farthest_end(problem: Problem, station: int) -> float:
+    ends = np.stack([problem.start_m, problem.destination_m])
+    return float(np.linalg.norm(ends - problem.station_positions_m[station], axis=1).max())
+
+
+def _graph(problem: Problem) -> tuple[Indices, PortalGraph]:
+    """The portal graph, and the stations of the problem its indices stand for."""
+    adjacent = adjacent_pairs(problem)
+    stations = np.arange(problem.station_count)
+    if len(adjacent.pairs) <= MAX_PAIRS:
+        return stations, PortalGraph(problem, adjacent.pairs)
+    stations = _stations_worth_a_look(problem, adjacent)
+    number = np.full(problem.station_count, -1)
+    number[stations] = np.arange(len(stations))
+    pairs = number[adjacent.pairs]
+    return stations, PortalGraph(select_stations(problem, stations), pairs[(pairs >= 0).all(axis=1)])
+
+
+def _stations_worth_a_look(problem: Problem, adjacent: AdjacentPairs) -> Indices:
+    """Stations near the fastest chain from mast to mast, priced by the depth of its lenses; as many as can be managed.
+
+    A path through portals is shorter than one through masts, but both go the same way.
+    """
+    count = problem.station_count
+    first, second = adjacent.pairs[:, 0], adjacent.pairs[:, 1]
+    masts = problem.station_positions_m[:, :2]
+    apart = np.linalg.norm(masts[first] - masts[second], axis=1)
+    half = 0.5 * adjacent.depths_m
+    sources, targets = (covering_stations(problem, end) for end in (problem.start_m, problem.destination_m))
+    rows, columns, weights = [first], [second], [leg_times_s(problem, apart, half, half)]
+    for node, end, stations in ((count, problem.start_m, sources), (count + 1, problem.destination_m, targets)):
+        rows.append(np.full(len(stations), node))
+        columns.append(stations)
+        weights.append(np.linalg.norm(masts[stations] - end[:2], axis=1) / problem.limits.max_speed_m_s)
+    values = np.maximum(np.concatenate(weights), 1e-9)
+    graph = csr_array((values, (np.concatenate(rows), np.concatenate(columns))), shape=(count + 2, count + 2))
+    there, back = dijkstra(graph, directed=False, indices=[count, count + 1])[:, :count]
+    through = there + back
+    order = np.argsort(through, kind="stable")
+    near = order[through[order] <= through[order[0]] * (1.0 + COARSE_SLACK) + COARSE_SLACK_S]
+    degree = np.bincount(adjacent.pairs.ravel(), minlength=count).astype(float)
+    manageable = int(np.searchsorted(np.cumsum(0.5 * degree[near] ** 2), MAX_LEGS, side="right"))
+    return np.sort(near[: max(manageable, MIN_STATIONS)])
+
+
+def select_stations(problem: Problem, stations: Indices) -> Problem:
+    """The same problem with only ``stations`` (indices) in it; theirs become 0, 1, ..."""
+    return replace(
+        problem,
+        station_positions_m=problem.station_positions_m[stations],
+        ranges_m=problem.ranges_m[stations],
+        bound_ranges_m=None if problem.bound_ranges_m is None else problem.bound_ranges_m[stations],
+        min_elevation_deg=None if problem.min_elevation_deg is None else problem.min_elevation_deg[stations],
+    )
