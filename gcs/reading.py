@@ -1,0 +1,278 @@
+"""Reading documents at the door: every fault collected, each with its path, none of them raised half-way.
+
+A `Reader` walks one JSON object. A field that is missing or wrong leaves a `gcs.errors.Fault` in the shared list and
+gives a harmless stand-in (NaN, empty text), so that reading goes on and the caller raises once at the end.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import re
+import unicodedata
+from collections.abc import Collection, Mapping, Sequence, Set
+
+from gcs.errors import Fault, MissionError
+
+MAX_DOCUMENT_BYTES = 5_000_000
+MAX_FAULTS = 200
+_IDENTIFIER = re.compile(r"[^\W_][\w .\-:+#()'&]*")
+
+
+class FaultList(list[Fault]):
+    """Faults found so far; stops growing at `MAX_FAULTS`, so that garbage cannot make an endless answer."""
+
+    def add(self, where: str, what: str, value: object = None, allowed: str = "", fix: str = "") -> None:
+        """Note a fault."""
+        if len(self) < MAX_FAULTS:
+            self.append(Fault(where, what, value, allowed, fix))
+
+
+def type_name(value: object) -> str:
+    """What a JSON value is, in JSON's words."""
+    names: list[tuple[type, str]] = [
+        (bool, "true or false"),
+        (int, "a number"),
+        (float, "a number"),
+        (str, "text"),
+        (list, "a list"),
+        (dict, "an object"),
+    ]
+    return next((name for kind, name in names if isinstance(value, kind)), "null" if value is None else "no JSON value")
+
+
+class Reader:
+    """One JSON object at ``where``; ``fields`` are the names it may have.
+
+    A value that is not an object is a fault, and reads as an empty one from which nothing is missed.
+    """
+
+    def __init__(self, value: object, where: str, faults: FaultList, fields: Collection[str]) -> None:
+        self.where = where
+        self.faults = faults
+        self.ok = isinstance(value, dict | Mapping)
+        self.data: Mapping[str, object] = value if isinstance(value, dict | Mapping) else {}
+        if not self.ok:
+            faults.add(where or "mission", f"must be an object, not {type_name(value)}", value, "a JSON object")
+        if not self.data.keys() <= (fields if isinstance(fields, Set) else frozenset(fields)):
+            for key in self.data:
+                if key not in fields:
+                    self._unknown(key, fields)
+
+    def _unknown(self, key: object, fields: Collection[str]) -> None:
+        close = difflib.get_close_matches(str(key), list(fields), n=1, cutoff=0.6)
+        fix = f"did you mean {close[0]}?" if close else "remove it"
+        shown = str(key) if printable(str(key)) and len(str(key)) <= 64 else "?"
+        self.faults.add(self.path(shown), "is not a known field", None, ", ".join(sorted(fields)), fix)
+
+    def path(self, key: str) -> str:
+        """The path of one of this object's fields."""
+        return f"{self.where}.{key}" if self.where else key
+
+    def has(self, key: str) -> bool:
+        """Whether the field is there; null counts as absent."""
+        return self.data.get(key) is not None
+
+    def fault(self, key: str, what: str, allowed: str = "", fix: str = "", *, value: object = None) -> None:
+        """Note a fault of a field, with its value."""
+        self.faults.add(self.path(key), what, self.data.get(key) if value is None else value, allowed, fix)
+
+    def _missing(self, key: str, allowed: str) -> None:
+        if self.ok:
+            self.faults.add(self.path(key), "is missing", None, allowed, "add it")
+
+    def number(
+        self,
+        key: str,
+        low: float,
+        high: float,
+        unit: str,
+        *,
+        above_low: bool = False,
+        default: float | None = None,
+    ) -> float:
+        """A finite number in [low, high] (or above ``low``); missing without default is a fault. NaN after a fault."""
+        if not self.has(key):
+            if default is None:
+                self._missing(key, _span(low, high, unit, above_low))
+                return math.nan
+            return default
+        value = self.data[key]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            self.fault(key, f"must be a number, not {type_name(value)}", _span(low, high, unit, above_low))
+            return math.nan
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            self.fault(key, "must be a finite number", _span(low, high, unit, above_low), value=str(number))
+            return math.nan
+        if number > high or number < low or (above_low and number == low):
+            if number > high:
+                what = "is too large"
+            elif number < 0 <= low:
+                what = "must not be negative"
+            elif above_low and number == low == 0:
+                what = "must not be zero"
+            else:
+                what = "is too small"
+            self.fault(key, what, _span(low, high, unit, above_low))
+            return math.nan
+        return number
+
+    def optional_number(self, key: str, low: float, high: float, unit: str, *, above_low: bool = False) -> float | None:
+        """As `number`, None when absent."""
+        return self.number(key, low, high, unit, above_low=above_low) if self.has(key) else None
+
+    def integer(self, key: str, low: int, high: int, *, default: int | None) -> int | None:
+        """A whole number in [low, high]; ``default`` when absent and after a fault."""
+        if not self.has(key):
+            return default
+        value, allowed = self.data[key], f"a whole number from {low} to {high}"
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if isinstance(value, bool) or not isinstance(value, int):
+            self.fault(key, f"must be a whole number, not {type_name(value)}", allowed)
+        elif not low <= value <= high:
+            self.fault(key, "is out of range", allowed)
+        else:
+            return value
+        return default
+
+    def text(self, key: str, longest: int, *, default: str | None = None, required: bool = False) -> str | None:
+        """Printable text of 1 to ``longest`` characters, without blanks at its ends; ``default`` when absent."""
+        if not self.has(key):
+            if required:
+                self._missing(key, f"1 to {longest} printable characters")
+            return default
+        value = self.data[key]
+        if isinstance(value, str) and len(value) <= longest and value.isprintable() and value == value.strip() != "":
+            return value
+        allowed = f"1 to {longest} printable characters"
+        if not isinstance(value, str):
+            self.fault(key, f"must be text, not {type_name(value)}", allowed)
+        elif len(value) > longest:
+            self.fault(key, f"has {len(value)} characters", allowed, "shorten it")
+        elif not value.strip():
+            self.fault(key, "is empty", allowed)
+        elif value != value.strip():
+            self.fault(key, "begins or ends with blanks", allowed, "remove them")
+        elif not printable(value):
+            self.fault(key, "holds control or invisible characters", allowed, "remove them")
+        else:
+            return value
+        return default
+
+    def identifier(self, key: str) -> str:
+        """An id: letters and digits of any script and ``. _ - : + # ( ) ' &`` and blanks, beginning with a letter or
+        digit.
+
+        No ``=``, ``/``, comma or quote: ids stand in ``--link ID=URL``, in addresses, file names and CSV.
+        """
+        value = self.text(key, 64, required=True)
+        if value is None:
+            return ""
+        if not _IDENTIFIER.fullmatch(value):
+            self.fault(
+                key,
+                "is not a usable id",
+                "up to 64 letters, digits, blanks and . _ - : + # ( ) ' &, beginning with a letter or digit",
+            )
+        return value
+
+    def choice(self, key: str, choices: Sequence[str], default: str) -> str:
+        """One of a few words."""
+        if not self.has(key):
+            return default
+        value = self.data[key]
+        if value not in choices or not isinstance(value, str):
+            close = difflib.get_close_matches(str(value), choices, n=1)
+            self.fault(
+                key, "is not one of the choices", " or ".join(choices), f"did you mean {close[0]}?" if close else ""
+            )
+            return default
+        return value
+
+    def items(self, key: str, most: int, *, required: bool = False) -> list[object]:
+        """A list of at most ``most`` items; empty when absent or wrong."""
+        if not self.has(key):
+            if required:
+                self._missing(key, "a list")
+            return []
+        value = self.data[key]
+        if not isinstance(value, list | tuple):
+            self.fault(key, f"must be a list, not {type_name(value)}", "a list")
+            return []
+        if len(value) > most:
+            self.faults.add(self.path(key), f"has {len(value)} items", None, f"at most {most}", "leave some out")
+            return []
+        return list(value)
+
+    def child(self, key: str, fields: Collection[str]) -> Reader:
+        """The object in a field; a fault when missing."""
+        if not self.has(key):
+            self._missing(key, "an object with " + ", ".join(sorted(fields)))
+            missing = Reader({}, self.path(key), FaultList(), fields)
+            missing.ok = False
+            return missing
+        return Reader(self.data[key], self.path(key), self.faults, fields)
+
+
+def _span(low: float, high: float, unit: str, above_low: bool) -> str:
+    """What a number may be, in words."""
+    if above_low:
+        return f"more than {low:.10g} up to {high:.10g} {unit}"
+    return f"from {low:.10g} to {high:.10g} {unit}"
+
+
+def printable(text: str) -> bool:
+    """No control, format, surrogate, private or unassigned character, and no line or paragraph separator."""
+    return not any(unicodedata.category(c) in {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"} for c in text)
+
+
+def parse_json(data: bytes | str, *, max_bytes: int = MAX_DOCUMENT_BYTES) -> object:
+    """Strict JSON (RFC 8259): no NaN or Infinity, no key twice, valid UTF-8, bounded size and depth.
+
+    Raises `MissionError` with one fault that names the line or the key.
+    """
+    raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    if len(raw) > max_bytes:
+        raise MissionError([Fault("mission", f"has {len(raw)} bytes", None, f"at most {max_bytes} bytes")])
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        what = f"is not valid UTF-8 at byte {error.start}"
+        raise MissionError([Fault("mission", what, None, "JSON in UTF-8", "save it as UTF-8")]) from None
+    try:
+        return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
+    except json.JSONDecodeError as error:
+        what = f"is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}"
+        raise MissionError([Fault("mission", what, None, "a JSON object", "correct the text there")]) from None
+    except RecursionError:
+        raise MissionError([Fault("mission", "is nested too deep", None, "objects as documented")]) from None
+    except _BadJsonError as error:
+        raise MissionError([error.fault]) from None
+    except ValueError as error:  # an integer of thousands of digits
+        raise MissionError([Fault("mission", f"holds a number that cannot be read: {error}")]) from None
+
+
+class _BadJsonError(Exception):
+    def __init__(self, fault: Fault) -> None:
+        super().__init__(str(fault))
+        self.fault = fault
+
+
+def _no_constant(name: str) -> object:
+    raise _BadJsonError(Fault("mission", f"holds {name}, which is not JSON", name, "finite numbers", "give a number"))
+
+
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    result: dict[str, object] = {}
+    for key, value in pairs:
+        if key in result:
+            shown = key if printable(key) and len(key) <= 64 else "?"
+            raise _BadJsonError(Fault(shown, "stands twice in one object", None, "each field once", "remove one"))
+        result[key] = value
+    return result

@@ -1,0 +1,63 @@
+"""Settings of the service, in one place; every other module receives values.
+
+Each can be given as an environment variable ``SKYRELAY_<NAME>`` (case does not matter). Times are seconds, sizes bytes.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, field_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+def default_data_dir() -> Path:
+    """Where data goes unless told: ``$XDG_DATA_HOME/skyrelay``, else ``~/.local/share/skyrelay``."""
+    base = os.environ.get("XDG_DATA_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "share") / "skyrelay"
+
+
+class Settings(BaseSettings):
+    """What can be set. Unknown ``SKYRELAY_`` variables are ignored; values out of range raise ``ValidationError``."""
+
+    model_config = SettingsConfigDict(env_prefix="SKYRELAY_", env_ignore_empty=True, extra="forbid", frozen=True)
+
+    data_dir: Path = Field(default_factory=default_data_dir, description="Database, logs and signing stamps live here.")
+    database_url: str | None = Field(
+        default=None,
+        description="SQLAlchemy address of the database; default a SQLite file in data_dir. PostgreSQL serves several "
+        "planners on several machines.",
+    )
+    planner_processes: int = Field(
+        default_factory=lambda: max(1, min(4, (os.cpu_count() or 2) - 1)),
+        ge=0,
+        le=256,
+        description="Planning processes of the service; 0 leaves planning to `skyrelay worker`.",
+    )
+    planning_limit_s: float = Field(
+        default=60.0, gt=0, le=3600, description="A planner that takes longer is killed, and the fallback method tried."
+    )
+    max_document_bytes: int = Field(
+        default=5_000_000, ge=1_000, le=100_000_000, description="Largest mission document."
+    )
+    max_stations: int = Field(default=10_000, ge=1, le=100_000, description="Most stations of a mission.")
+    max_queued_missions: int = Field(default=1_000, ge=1, description="Missions that may wait for a planner.")
+    lock_timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait for a locked database.")
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_style: Literal["console", "json"] = "console"
+
+    @field_validator("data_dir")
+    @classmethod
+    def _absolute(cls, value: Path) -> Path:
+        return value.expanduser().absolute()
+
+    @property
+    def url(self) -> str:
+        """The database's address, whether given or not."""
+        return self.database_url or f"sqlite:///{self.data_dir / 'skyrelay.db'}"
+
+    def prepare(self) -> None:
+        """Make ``data_dir``, for its owner alone. Raises ``OSError``."""
+        self.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)

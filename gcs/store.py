@@ -1,0 +1,169 @@
+"""What the service remembers: missions and their plans, registries of stations, vehicles and links, flights and their
+events.
+
+`Store` opens the database, brings its tables up to date and holds the parts: ``store.missions``, ``store.queue``,
+``store.flights``,
+``store.registry``.
+"""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import RowMapping, delete, insert, select, update
+
+from gcs.database import Database
+from gcs.errors import ConflictError, NotFoundError
+from gcs.store_flights import FlightJournal, FlightRecord, FlightStore
+from gcs.store_missions import Clock, Idempotency, MissionRecord, MissionStore, dump, utc_text
+from gcs.store_queue import Claim, PlanningQueue
+from gcs.tables import registry
+
+KINDS = ("station", "vehicle", "link")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One thing of a registry: its document as given, and how often it was written (``revision``, from 1)."""
+
+    kind: str
+    id: str
+    document: dict[str, Any]
+    revision: int
+    created_utc: str
+    changed_utc: str
+
+
+class RegistryStore:
+    """Stations, vehicles and links known by name. What their documents hold is checked by whoever puts them in."""
+
+    def __init__(self, database: Database, clock: Clock) -> None:
+        self._db = database
+        self._clock = clock
+
+    def put(
+        self, kind: str, entry_id: str, document: Mapping[str, Any], *, revision: int | None = None
+    ) -> tuple[Entry, bool]:
+        """Add or replace; and whether it is new.
+
+        ``revision``: the one that is to be replaced (0: there must be none); `ConflictError` when another stands there.
+        """
+        _check_kind(kind)
+        here = (registry.c.kind == kind) & (registry.c.id == entry_id)
+        with self._db.write() as connection:
+            found = connection.execute(select(registry).where(here)).first()
+            present = 0 if found is None else int(found.revision)
+            if revision is not None and revision != present:
+                raise ConflictError(f"{kind} {entry_id} is at revision {present}, not {revision}")
+            now = utc_text(self._clock())
+            values = {"document": dump(dict(document)), "revision": present + 1, "changed_utc": now}
+            if found is None:
+                connection.execute(insert(registry).values(kind=kind, id=entry_id, created_utc=now, **values))
+            else:
+                connection.execute(update(registry).where(here).values(**values))
+            return _entry(connection.execute(select(registry).where(here)).one()._mapping), found is None
+
+    def get(self, kind: str, entry_id: str) -> Entry:
+        """One entry. Raises `NotFoundError`."""
+        _check_kind(kind)
+        with self._db.read() as connection:
+            found = connection.execute(
+                select(registry).where(registry.c.kind == kind, registry.c.id == entry_id)
+            ).first()
+        if found is None:
+            raise NotFoundError(f"there is no {kind} {entry_id}")
+        return _entry(found._mapping)
+
+    def page(self, kind: str, *, limit: int = 50, after: str | None = None) -> list[Entry]:
+        """Entries in order of id, those after ``after``."""
+        _check_kind(kind)
+        query = select(registry).where(registry.c.kind == kind).order_by(registry.c.id).limit(limit)
+        if after is not None:
+            query = query.where(registry.c.id > after)
+        with self._db.read() as connection:
+            return [_entry(row._mapping) for row in connection.execute(query)]
+
+    def remove(self, kind: str, entry_id: str) -> None:
+        """Forget an entry. Raises `NotFoundError`."""
+        _check_kind(kind)
+        with self._db.write() as connection:
+            gone = connection.execute(
+                delete(registry).where(registry.c.kind == kind, registry.c.id == entry_id)
+            ).rowcount
+        if not gone:
+            raise NotFoundError(f"there is no {kind} {entry_id}")
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in KINDS:
+        raise ValueError(f"no registry of {kind!r}: one of {', '.join(KINDS)}")
+
+
+def _entry(row: RowMapping) -> Entry:
+    values: dict[str, Any] = {str(key): value for key, value in row.items()}
+    return Entry(**{**values, "document": json.loads(values["document"])})
+
+
+class Store:
+    """A database with its tables up to date.
+
+    ``url`` is SQLAlchemy's (``sqlite:///path`` or PostgreSQL); the folder of a SQLite file must exist. ``clock`` and
+    ``new_id`` are for tests. Raises `StoreUnavailable`.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        lock_timeout_s: float = 5.0,
+        clock: Clock | None = None,
+        new_id: Callable[[], str] | None = None,
+    ) -> None:
+        now = clock or (lambda: datetime.now(UTC))
+        make_id = new_id or (lambda: uuid.uuid4().hex)
+        self.database = Database(url, lock_timeout_s=lock_timeout_s)
+        self.database.migrate()
+        self.missions = MissionStore(self.database, now, make_id)
+        self.queue = PlanningQueue(self.database, now)
+        self.flights = FlightStore(self.database, now, make_id)
+        self.registry = RegistryStore(self.database, now)
+
+    def check(self) -> None:
+        """Raises `StoreUnavailable` when the database cannot be used."""
+        self.database.check()
+
+    def backup_to(self, path: str | Path) -> None:
+        """A consistent copy of a SQLite database; see `Database.backup_to`."""
+        self.database.backup_to(path)
+
+    def close(self) -> None:
+        """Give back every connection."""
+        self.database.close()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+__all__ = [
+    "KINDS",
+    "Claim",
+    "Entry",
+    "FlightJournal",
+    "FlightRecord",
+    "FlightStore",
+    "Idempotency",
+    "MissionRecord",
+    "MissionStore",
+    "PlanningQueue",
+    "RegistryStore",
+    "Store",
+]
