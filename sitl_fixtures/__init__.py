@@ -1,0 +1,1 @@
+"""A simulated autopilot speaking real MAVLink over UDP, recordings of real ones, and missions."""

@@ -1,0 +1,83 @@
+"""``python -m sitl_fixtures``: the simulated autopilot as a process."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from sitl_fixtures.errors import ConfigurationError, SimulatorError
+from sitl_fixtures.faults import listing
+from sitl_fixtures.process import Address, run_process
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = argparse.ArgumentParser(prog="sitl_fixtures", description="A simulated PX4 or ArduPilot speaking MAVLink.")
+    made.add_argument("--autopilot", choices=["px4", "ardupilot"], default="px4")
+    made.add_argument("--listen", action="append", metavar="udpin:HOST:PORT", help="a link; may be given several times")
+    made.add_argument("--home", metavar="LAT,LON,ALT", help="degrees and metres AMSL of the ground")
+    made.add_argument("--speedup", type=float, default=1.0, help="vehicle seconds a wall second")
+    made.add_argument("--param", action="append", default=[], metavar="NAME=VALUE")
+    made.add_argument("--fault", action="append", default=[], metavar="NAME[:ARG][@START[+FOR]]")
+    made.add_argument("--list-faults", action="store_true")
+    made.add_argument("--seed", type=int, default=0)
+    made.add_argument("--system-id", type=int, default=1)
+    made.add_argument("--ready-after", type=float, default=2.0, metavar="S", help="vehicle seconds to a position")
+    made.add_argument("--max-speed", type=float, metavar="M_S", help="top speed in level flight; sets the drag")
+    made.add_argument("--tilt", type=float, metavar="DEG", help="largest lean, instead of the parameter's")
+    made.add_argument("--wind", metavar="NORTH,EAST", help="velocity of the air, m/s")
+    made.add_argument("--speaks-operator-control", action="store_true", help="CONTROL_STATUS and command 32100")
+    made.add_argument("--duration", type=float, metavar="S", help="wall seconds to run; default: until stopped")
+    return made
+
+
+def numbers(where: str, text: str | None, count: int) -> tuple[float, ...] | None:
+    """``count`` comma-separated numbers; None stays None."""
+    if text is None:
+        return None
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        raise ConfigurationError(where, text, f"{count} numbers separated by commas", "correct it")
+    return values
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the simulator; the exit code is 2 for options that cannot be used."""
+    options = parser().parse_args(arguments)
+    if options.list_faults:
+        sys.stdout.write(listing() + "\n")
+        return 0
+    try:
+        home = numbers("--home", options.home, 3)
+        wind = numbers("--wind", options.wind, 2) or (0.0, 0.0)
+        addresses = [Address.parse(text) for text in options.listen or ["udpin:127.0.0.1:14540"]]
+        config = SimulatorConfig(
+            autopilot=options.autopilot,
+            home=(home[0], home[1], home[2]) if home else None,
+            links=len(addresses),
+            system_id=options.system_id,
+            speedup=options.speedup,
+            parameters=tuple(options.param),
+            faults=tuple(options.fault),
+            seed=options.seed,
+            ready_after_s=options.ready_after,
+            tick_s=0.01 if options.speedup <= 10.0 else 0.02,
+            max_speed_m_s=options.max_speed,
+            tilt_deg=options.tilt,
+            wind_n_m_s=wind[0],
+            wind_e_m_s=wind[1],
+            speaks_operator_control=options.speaks_operator_control,
+            setpoint_log=2,
+        )
+        return run_process(SimulatedAutopilot(config), addresses, options.speedup, options.duration)
+    except SimulatorError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
