@@ -1,0 +1,1 @@
+"""Everything on the wire: dialect, setpoints, links, handover, the flight director."""

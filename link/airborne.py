@@ -1,0 +1,428 @@
+"""The flight in the air: transit, the plan, holding, returning, landing.
+
+One handler a state, called once a tick; each moves the reference, lets the handover ahead act, and sends one setpoint
+through the gate. The flight never runs beyond what is proved: until the next station is ready, or up to the time
+authorised, the reference meets a limit on the path and brakes before it (`link.stream`). When the link of the station
+in control fails where a neighbour covers the vehicle too, and is proved, the neighbour takes over before the autopilot
+acts. When the stream may have been missed for longer than the autopilot tolerates, or the vehicle left the mode or
+restarted, the flight has lapsed (`link.lapse`).
+
+The contingency flown is the plan's: a diversion where the whole straight way lies in the range of the station in
+control, else back along the path flown, handing over backwards, to land at the start.
+"""
+
+from __future__ import annotations
+
+import math
+
+from gcs.flight import EventKind, FlightState
+from link.context import FlightContext
+from link.lapse import Lapse
+from link.launch import Launch
+from link.relay import TAKEOVER_SHARE, Relay
+from link.setpoints import Setpoint, SetpointStream
+from link.stream import Reference, StraightLine
+from link.watch import LagMonitor, UplinkMonitor
+from link.way_out import over_safe_point, way_out
+
+Vector = tuple[float, float, float]
+
+MODE_SETTLE_S = 0.5
+"""After a mode was confirmed, HEARTBEATs from before it may still be on their way."""
+LAPSE_SHARE = 0.95
+"""Of the autopilot's time-out: unproved for so long, the stream counts as lapsed."""
+STRANGE_LAPSE_S, STRANGE_OFF_M = 1.5, 10.0
+"""Nothing but strange targets for so long, and so far off its reference: the vehicle does not fly our setpoints."""
+GROUNDED_S = 3.0
+NOT_FOLLOWING_S = 10.0
+ARRIVED_M = 1.5
+SLOW_M_S = 0.7
+SETTLE_WAIT_S = 20.0
+REASK_S = 1.5
+LANDED_WAIT_S = 1800.0
+AT_LIMIT_M = 0.5
+"""Standing this close before a limit is standing at it."""
+CREEP = 0.02
+"""Rate, at least, at which a return or a wait before a limit is flown when the lag monitor asks for a stop."""
+
+
+class Airborne:
+    """Everything between the end of the climb and the end of the flight."""
+
+    def __init__(self, context: FlightContext, launch: Launch) -> None:
+        self._c = context
+        self._launch = launch
+        self.stream = SetpointStream(context.plan, context.request.rate_hz)
+        self.relay = Relay(context)
+        self.lag = LagMonitor(context)
+        self.uplink = UplinkMonitor(context)
+        self.lapse = Lapse(context, self.relay, self.stream)
+        self.attended = True
+        until_s = context.request.authorised_until_s
+        self.authorised_until_s = math.inf if until_s is None else until_s
+        # Tables are made now, on the ground: later they would cost ticks.
+        self.stream.at(0.0)
+        self._on_plan = Reference(self.stream, accel_m_s2=context.plan.mission.limits.max_accel_m_s2)
+        self.reference = self._on_plan
+        """On the plan, or on the straight line named by `line`."""
+        self.line = ""
+        self.held_for = ""
+        self._accel = context.plan.mission.limits.max_accel_m_s2
+        self._since_s = 0.0
+        self._held_state = FlightState.CRUISE
+        self._join_s = 0.0
+        self._mode_s = -math.inf
+        self._reboots = 0
+        self._asked_s = -math.inf
+        self._divert_to: Vector | None = None
+        self._grounded_s = math.inf
+        self._leave_for: tuple[float, str] | None = None
+        self._at_limit = False
+        self._landing_as = FlightState.COMPLETED
+        self._landing_seen = False
+
+    # -- beginning ----------------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Take over after the climb: go to the plan's start."""
+        self.relay.loss_timeout_s = self._launch.loss_timeout_s
+        self._transit_to(0.0, "to the plan's start")
+
+    def _transit_to(self, time_s: float, reason: str) -> None:
+        """Straight to a time of the plan, from where the vehicle is."""
+        c = self._c
+        here = c.position_enu_m()
+        assert here is not None
+        join = self.stream.at(time_s)
+        line = StraightLine(
+            c.plan,
+            self.relay.leg,
+            here,
+            join.position_enu_m,
+            speed_m_s=min(c.request.transit_speed_m_s, c.plan.mission.limits.max_speed_m_s),
+            climb_m_s=c.request.climb_m_s,
+            accel_m_s2=min(1.5, self._accel),
+            yaw_deg=join.yaw_deg,
+        )
+        self._join_s = time_s
+        self.reference, self.line = Reference(line, accel_m_s2=min(1.5, self._accel)), "transit"
+        self._reboots = c.monitor.reboots
+        self._mode_s = c.last_setpoint_s = c.now_s
+        self.uplink.restart()
+        self.lag.forget()
+        self._become(FlightState.TRANSIT, reason)
+
+    def _become(self, state: FlightState, reason: str) -> None:
+        self._c.become(state, reason)
+        self._since_s = self._c.now_s
+
+    # -- a tick -------------------------------------------------------------------------------------------------------
+
+    def tick(self, dt_s: float) -> None:
+        """One tick; ``dt_s`` since the last one, missed ticks included."""
+        state = self._c.state
+        self.lag.update()
+        self.uplink.update()
+        if state is FlightState.LAPSED:
+            self._lapsed()
+            return
+        if not self._still_ours():
+            return
+        handlers = {
+            FlightState.TRANSIT: self._transit,
+            FlightState.CRUISE: self._cruise,
+            FlightState.HOLDING: self._holding,
+            FlightState.RETURNING: self._returning,
+            FlightState.ARRIVED: self._arrived,
+            FlightState.LANDING: self._landing,
+        }
+        handlers[state](dt_s)
+
+    def _send(self, setpoint: Setpoint) -> None:
+        self._c.send_setpoint(setpoint)
+        self.lag.note(setpoint)
+
+    def _along_line(self, dt_s: float, wanted: float) -> None:
+        self.reference.step(dt_s, wanted)
+        self._send(self.reference.setpoint())
+
+    def _along_plan(self, dt_s: float, wanted: float, *, backwards: bool = False) -> None:
+        """One tick along the plan: limits, handover, setpoint."""
+        low_s, high_s = self.relay.limits(backwards=backwards)
+        high_s = min(high_s, self.authorised_until_s)
+        self.reference.step(dt_s, wanted, low_s=low_s, high_s=high_s)
+        limit_s = low_s if backwards else high_s
+        self._at_limit = (
+            0.0 < limit_s < self.stream.duration_s
+            and abs(self.reference.way_m(self.reference.time_s, limit_s)) < AT_LIMIT_M
+            and self.reference.stands
+        )
+        self.relay.step(self.reference.time_s, backwards=backwards)
+        self._send(self.reference.setpoint())
+
+    def _keep_up(self) -> float:
+        """The largest rate the vehicle follows."""
+        return self.lag.rate(self.reference.speed_m_s(self.reference.time_s))
+
+    @property
+    def _settled(self) -> bool:
+        tracking, position = self.lag.tracking, self._c.monitor.position
+        if tracking is None or position is None:
+            return False
+        return tracking.error_m <= ARRIVED_M and position.speed_m_s <= SLOW_M_S
+
+    # -- is it still ours ---------------------------------------------------------------------------------------------
+
+    def _still_ours(self) -> bool:
+        """Whether the vehicle follows our stream as far as can be known; False after acting on it not doing so."""
+        c, heartbeat = self._c, self._c.monitor.heartbeat
+        fresh = heartbeat is not None and heartbeat.heard_s > self._mode_s + MODE_SETTLE_S
+        if fresh and not c.armed:
+            if c.state is not FlightState.LANDING:
+                c.alarm("disarmed in flight")
+                ended = FlightState.CONTINGENCY if c.on_ground else FlightState.LOST
+                self._become(ended, "the vehicle disarmed by itself")
+                return False
+            return True
+        if c.state is FlightState.LANDING and self._landing_seen:
+            return True
+        if c.monitor.reboots != self._reboots:
+            return self._lapse("the autopilot restarted", pin=False)
+        limit_s = LAPSE_SHARE * self._launch.loss_timeout_s
+        gap_s = c.now_s - c.last_setpoint_s
+        if gap_s > limit_s:
+            return self._lapse(f"no setpoint was sent for {gap_s:.2f} s", pin=True)
+        if c.adopt_origin(c.fence.station_id):
+            c.alarm("EKF origin moved")
+        if fresh and not c.follows and c.state is not FlightState.LANDING:
+            return self._lapse(f"the vehicle left {c.profile.offboard_mode} for {c.mode}", pin=False)
+        strange_s = max(STRANGE_LAPSE_S, self._launch.loss_timeout_s)
+        if self.uplink.strange_for_s > strange_s and self.lag.off_m > STRANGE_OFF_M:
+            return self._lapse("the vehicle flies a target that is not ours", pin=True)
+        if not self._in_the_air():
+            return False
+        age_s = self.uplink.age_s
+        if age_s > TAKEOVER_SHARE * self._launch.loss_timeout_s and not self.line:
+            self.relay.take_over(self.reference.time_s, f"link of {c.gate.holder} unproved for {age_s:.2f} s")
+        if age_s > limit_s:
+            return self._lapse(f"nothing proved the link of {c.gate.holder} for {age_s:.2f} s", pin=True)
+        return True
+
+    def _in_the_air(self) -> bool:
+        """False, and the end, when the vehicle has been on the ground for a while, still armed."""
+        c = self._c
+        if not c.on_ground or c.state is FlightState.LANDING:
+            self._grounded_s = math.inf
+            return True
+        self._grounded_s = min(self._grounded_s, c.now_s)
+        if c.now_s - self._grounded_s < GROUNDED_S:
+            return True
+        c.alarm("the vehicle is on the ground")
+        self._become(FlightState.LOST, "the vehicle is on the ground, armed, and not where it should be")
+        return False
+
+    def _lapse(self, reason: str, *, pin: bool) -> bool:
+        """Fall silent. Always False."""
+        self._c.alarm("lapse", reason=reason)
+        self.relay.forget()
+        self.lag.forget()
+        self.lapse.begin(self.reference.time_s if not self.line else self._join_s, pin=pin)
+        self._become(FlightState.LAPSED, reason)
+        return False
+
+    def _lapsed(self) -> None:
+        join_s = self.lapse.tick()
+        if join_s is not None:
+            self._transit_to(join_s, "back to the path, on a person's word")
+        elif self.lapse.ended is not None:
+            self._become(*self.lapse.ended)
+
+    # -- flying -------------------------------------------------------------------------------------------------------
+
+    def _transit(self, dt_s: float) -> None:
+        self._along_line(dt_s, self._keep_up())
+        if not self.reference.finished:
+            return
+        c = self._c
+        if not self._settled:
+            if c.now_s - self._since_s < self.reference.curve.duration_s + SETTLE_WAIT_S:
+                return
+            c.alarm("not settled after the transit")
+        first = c.launched_s is None
+        # This tick sent the point at rest; at the first launch that is the plan's sample at T+0.
+        self.reference, self.line = self._on_plan.placed(self._join_s, 1.0 if first else 0.0), ""
+        if first:
+            c.launched_s = c.now_s
+        self._become(FlightState.CRUISE, "T+0" if first else "back on the path")
+
+    def _cruise(self, dt_s: float) -> None:
+        rate = self._keep_up()
+        if self.lag.lost:
+            self._hold("the vehicle does not follow")
+        self._along_plan(dt_s, rate if self._c.state is FlightState.CRUISE else 0.0)
+        if self._c.state is not FlightState.CRUISE:
+            return
+        if self.reference.finished and not self.relay.moving:
+            self._become(FlightState.ARRIVED, "end of the plan")
+        elif self._at_limit and not self.reference.finished:
+            self._hold(self._why_standing())
+
+    def _why_standing(self) -> str:
+        handover = self.relay.handover
+        if handover is not None and not handover.open:
+            return f"waiting for {handover.border.to_station}: {handover.missing() or handover.reason}"
+        return f"authorised up to {self.authorised_until_s:g} s of the plan"
+
+    def _hold(self, reason: str) -> None:
+        self._held_state, self.held_for = self._c.state, reason
+        self._become(FlightState.HOLDING, reason)
+
+    def _holding(self, dt_s: float) -> None:
+        c = self._c
+        waiting = self.held_for.startswith("waiting")
+        backwards = self._held_state is FlightState.RETURNING
+        if self.line:
+            self._along_line(dt_s, 0.0)
+        else:
+            # Waiting keeps trying the handover ahead, and goes back inside a limit that was passed.
+            self._along_plan(
+                dt_s, math.copysign(CREEP, -1.0 if backwards else 1.0) if waiting else 0.0, backwards=backwards
+            )
+            if waiting and (self.relay.handover is None or self.relay.handover.open):
+                self._become(self._held_state, "the next station is ready")
+                return
+        waited_s = c.now_s - self._since_s
+        limit_s = c.request.wait_for_station_s if waiting else c.request.hold_limit_s
+        if (self.held_for == "word" and self.attended) or waited_s < limit_s:
+            return
+        if backwards:
+            # The way back is shut too: the autopilot's own return is what is left.
+            self._lapse(f"no way back: {self.held_for}", pin=False)
+            self.lapse.last_resort()
+        else:
+            self.contingency(f"held for {waited_s:.0f} s, {self.held_for}")
+
+    def _returning(self, dt_s: float) -> None:
+        if self.line:
+            self._along_line(dt_s, self._keep_up())
+            if self.reference.finished and self._settled:
+                self._land(FlightState.CONTINGENCY, "over the safe point")
+            return
+        if self.lag.lost_for_s > NOT_FOLLOWING_S:
+            self._lapse("the vehicle does not follow on the way back", pin=False)
+            self.lapse.last_resort()
+            return
+        if self._divert_to is not None:
+            self._along_plan(dt_s, 0.0)
+            if self.reference.stands:
+                self._begin_diversion(self._divert_to)
+            return
+        self._along_plan(dt_s, -max(self._keep_up(), CREEP), backwards=True)
+        if self.reference.time_s <= 0.0 and self._settled:
+            self._land(FlightState.CONTINGENCY, "back at the start")
+        elif self._leave_for is not None and self.reference.time_s <= self._leave_for[0]:
+            # Where the way to a safe point leaves the path; on along the path where it is not covered from here.
+            self._divert_to, self._leave_for = self._over(self._leave_for[1]), None
+        elif self._at_limit:
+            self._hold(self._why_standing())
+
+    def _arrived(self, dt_s: float) -> None:
+        c = self._c
+        self._send(self.reference.setpoint().hold())
+        waited_s = c.now_s - self._since_s
+        if c.plan.mission.options.on_arrival == "hold":
+            if waited_s >= c.request.hold_limit_s:
+                self._land(FlightState.COMPLETED, f"held for {waited_s:.0f} s at the destination")
+        elif waited_s >= c.request.arrival_hold_s + (0.0 if self._settled else SETTLE_WAIT_S):
+            self._land(FlightState.COMPLETED, "at the destination")
+
+    # -- landing ------------------------------------------------------------------------------------------------------
+
+    def _land(self, outcome: FlightState, reason: str) -> None:
+        self._landing_as, self._landing_seen, self._asked_s = outcome, False, -math.inf
+        self._become(FlightState.LANDING, reason)
+
+    def _landing(self, dt_s: float) -> None:
+        c, heartbeat = self._c, self._c.monitor.heartbeat
+        if heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > self._since_s:
+            self._become(self._landing_as, "landed and disarmed")
+            return
+        lands = c.mode == c.profile.land_mode
+        self._landing_seen = self._landing_seen or lands
+        if not lands and c.now_s - self._asked_s >= REASK_S:
+            self._asked_s = c.now_s
+            c.start_mode(c.profile.land_mode)
+        if not self._landing_seen:
+            # Until it shows LAND the vehicle must not miss us.
+            self._along_line(dt_s, 0.0)
+        silent_s = c.now_s - c.monitor.last_heard_s()
+        if silent_s > c.request.lost_after_s or c.now_s - self._since_s > LANDED_WAIT_S:
+            self._become(FlightState.LOST, "no landing was seen")
+
+    # -- ways out -----------------------------------------------------------------------------------------------------
+
+    def contingency(self, reason: str) -> None:
+        """Fly the way out in force."""
+        c = self._c
+        c.alarm("contingency", reason=reason)
+        if c.state is FlightState.LAPSED:
+            self.lapse.last_resort()
+        elif c.state is FlightState.ARRIVED or self.line == "transit":
+            self._land(FlightState.CONTINGENCY, reason)
+        elif c.state in (FlightState.CRUISE, FlightState.HOLDING):
+            self._choose_way_out()
+            self._become(FlightState.RETURNING, reason)
+
+    def _choose_way_out(self) -> None:
+        way = way_out(self._c.plan, self.reference.time_s)
+        self._divert_to = None if way.divert_to is None else self._over(way.divert_to)
+        self._leave_for = way.leave_for
+
+    def _over(self, safe_point: str) -> Vector | None:
+        """The place over a safe point; None where the way there from the stop is not in the range of this station."""
+        stop_s = min(max(self.reference.time_s + self.reference.stopping_s(), 0.0), self.stream.duration_s)
+        stop = self.stream.at(stop_s).position_enu_m
+        return over_safe_point(self._c.plan, self._c.plan.trajectory.sequence[self.relay.leg], stop, safe_point)
+
+    def _begin_diversion(self, over: Vector) -> None:
+        here = self.reference.setpoint()
+        line = StraightLine(
+            self._c.plan,
+            self.relay.leg,
+            here.position_enu_m,
+            over,
+            speed_m_s=self._c.plan.mission.limits.max_speed_m_s,
+            climb_m_s=self._c.request.climb_m_s,
+            accel_m_s2=0.5 * self._accel,
+            yaw_deg=here.yaw_deg,
+        )
+        self.reference, self.line, self._divert_to = Reference(line, accel_m_s2=self._accel), "divert", None
+        self._c.emit(EventKind.STATE, **{"from": "returning", "to": "returning", "reason": "to the safe point"})
+
+    # -- words --------------------------------------------------------------------------------------------------------
+
+    def hold(self) -> None:
+        """A person says hold: stop on the path and stay."""
+        if self._c.state is FlightState.HOLDING:
+            self.held_for = "word"
+        else:
+            self._hold("word")
+
+    def resume(self) -> None:
+        """A person says resume: on from a hold; from a lapse back in, by a transit from where the vehicle is."""
+        if self._c.state is FlightState.LAPSED:
+            self.lapse.resume()
+        else:
+            self._become(self._held_state, "resume")
+
+    def land(self) -> None:
+        """A person says land: where the vehicle is."""
+        arrived = self._c.state is FlightState.ARRIVED
+        if self._c.state is not FlightState.LANDING:
+            self._land(FlightState.COMPLETED if arrived else FlightState.CONTINGENCY, "word")
+
+    def authorise(self, until_s: float) -> None:
+        """The flight may go on up to a time of the plan."""
+        self.authorised_until_s = until_s
+        if self._c.state is FlightState.HOLDING and self.held_for.startswith("authorised"):
+            self._become(self._held_state, "authorised further")

@@ -1,0 +1,125 @@
+"""Reading and setting a vehicle's parameters over lossy links.
+
+The parameter protocol has no negative answer: an unknown name and a set of the wrong type are both met with silence,
+and a set is confirmed only by the PARAM_VALUE that comes back. So everything is asked several times, and nothing is
+believed that has not been read back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from link.dialect import mavlink
+from link.errors import GateClosed, ParameterError
+from link.gate import Fence
+from link.params import Encoding, Parameter, read_parameter, write_parameter
+
+ASK_AGAIN_S = 0.5
+ATTEMPTS = 8
+
+
+@dataclass
+class Asked:
+    """A name asked for: ``answer`` once it came; ``finished`` without one means that nobody knows the name."""
+
+    name: str
+    fence: Fence
+    attempts: int = 0
+    next_s: float = -math.inf
+    answer: Parameter | None = None
+    finished: bool = False
+
+
+@dataclass
+class Setting:
+    """A value being set. ``confirmed`` once it was read back; ``finished`` without that means it was not taken."""
+
+    name: str
+    value: int | float
+    kind: int
+    fence: Fence
+    attempts: int = 0
+    next_s: float = -math.inf
+    confirmed: bool = False
+    finished: bool = False
+
+
+class ParameterClient:
+    """Parameters of one vehicle. ``send`` is the gate's; ``known`` holds the last value read of each name."""
+
+    def __init__(self, send: Callable[[Fence, Any], object], target_system: int, encoding: Encoding) -> None:
+        self._send = send
+        self._target = target_system
+        self.encoding = encoding
+        self.known: dict[str, Parameter] = {}
+        self._asked: dict[str, Asked] = {}
+        self._settings: dict[str, Setting] = {}
+
+    def read(self, names: Iterable[str], fence: Fence, *, attempts: int = ATTEMPTS) -> list[Asked]:
+        """Ask for parameters by name."""
+        asked = [Asked(name, fence, attempts=attempts) for name in names]
+        self._asked.update({one.name: one for one in asked})
+        return asked
+
+    def set(self, name: str, value: int | float, fence: Fence, *, attempts: int = ATTEMPTS) -> Setting:
+        """Set a parameter that was read before. Raises `ParameterError` for a name never read, or an unfit value."""
+        if name not in self.known:
+            raise ParameterError(f"{name} was not read, so its type is not known")
+        kind = self.known[name].kind
+        write_parameter(name, value, kind, self.encoding, target_system=self._target)
+        setting = Setting(name, value, kind, fence, attempts=attempts)
+        self._settings[name] = setting
+        return setting
+
+    def on_value(self, message: Any) -> None:
+        """Take a PARAM_VALUE of the vehicle."""
+        try:
+            parameter = read_parameter(message, self.encoding)
+        except ParameterError:
+            return
+        self.known[parameter.name] = parameter
+        asked = self._asked.pop(parameter.name, None)
+        if asked is not None:
+            asked.answer, asked.finished = parameter, True
+        setting = self._settings.get(parameter.name)
+        if setting is not None and same_value(parameter.value, setting.value):
+            setting.confirmed = setting.finished = True
+            del self._settings[parameter.name]
+
+    def step(self, now_s: float) -> None:
+        """Ask again what is due, give up what was asked often enough."""
+        for asked in list(self._asked.values()):
+            if now_s >= asked.next_s and not self._again(now_s, asked, self._asked, self._read_message(asked.name)):
+                asked.finished = True
+        for setting in list(self._settings.values()):
+            if now_s < setting.next_s:
+                continue
+            message = write_parameter(
+                setting.name, setting.value, setting.kind, self.encoding, target_system=self._target
+            )
+            if not self._again(now_s, setting, self._settings, message):
+                setting.finished = True
+
+    def _again(self, now_s: float, one: Asked | Setting, table: Any, message: Any) -> bool:
+        if one.attempts > 0:
+            try:
+                self._send(one.fence, message)
+            except GateClosed:
+                one.attempts = 0
+        if one.attempts <= 0:
+            del table[one.name]
+            return False
+        one.attempts -= 1
+        one.next_s = now_s + ASK_AGAIN_S
+        return True
+
+    def _read_message(self, name: str) -> Any:
+        return mavlink.MAVLink_param_request_read_message(self._target, 1, name.encode(), -1)
+
+
+def same_value(read: int | float, wanted: int | float) -> bool:
+    """Whether a value read back is the one set: equal, or equal as 32-bit floats go."""
+    return read == wanted or math.isclose(read, wanted, rel_tol=1e-6, abs_tol=1e-9)

@@ -1,0 +1,402 @@
+"""What differs between autopilots, as data and one method: modes, parameters, and how a setpoint is written.
+
+Both stream position, velocity and acceleration under one mask (0x0C00: yaw and yaw rate ignored) for the whole
+flight: ArduCopter starts its controller anew whenever the set of fields changes, and with yaw left to it the vehicle
+follows the course within 4.3 degrees, so giving yaw buys nothing and spends control authority. The yaw field is filled
+all the same, for readers of logs.
+
+======== ===================================== ======================================================
+PX4      SET_POSITION_TARGET_GLOBAL_INT (86)   frame 5, latitude, longitude, AMSL: PX4 projects by itself, and frames 6
+                                               and 11 hang on a home altitude that it moves in flight
+ArduPilot SET_POSITION_TARGET_LOCAL_NED (84)   frame 1 from its EKF origin by its own formula: message 86 silently
+                                               drops the acceleration
+======== ===================================== ======================================================
+
+Velocity and acceleration go along true north and east at the vehicle, in true metres: an estimator's velocity is that
+of its GNSS receiver, whatever its position projection does to lengths.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Literal
+
+from link import projection
+from link.dialect import mavlink
+from link.errors import MissingOrigin, UnsafeSetpoint
+from link.projection import EkfOrigin
+from link.setpoints import Setpoint
+
+POSITION_VELOCITY_ACCELERATION = 0x0C00
+AUTOPILOT_COMPONENT = 1
+
+MAX_SPEED_M_S = 340.0
+MAX_ACCELERATION_M_S2 = 200.0
+ALTITUDE_BAND_AMSL_M = (-1_000.0, 20_000.0)
+MAX_LOCAL_OFFSET_M = 1_000_000.0
+"""float32 metres step by 6 cm there."""
+MAX_LOCAL_LATITUDE_DEG = 85.0
+"""ArduPilot's longitude scaling is meaningless near the poles."""
+_UINT32 = 0xFFFFFFFF
+
+
+@dataclass(frozen=True)
+class ParameterName:
+    """A parameter a preflight check reads: ``names`` newest first, as the vehicle may know any one of them."""
+
+    key: str
+    names: tuple[str, ...]
+    integer: bool
+    unit: str
+    purpose: str
+
+
+@dataclass(frozen=True)
+class MissionTraits:
+    """How an autopilot takes a mission upload. All measured; see the recordings."""
+
+    keeps_old_after_failure: bool
+    """False: items already received have overwritten the old mission; upload again or clear."""
+    honours_cancel: bool
+    """Whether the station's MISSION_ACK (cancelled) ends an upload at once."""
+    upload_timeout_s: float
+    """After this long without an item the vehicle gives up by itself."""
+    first_item_is_home: bool
+    """Item 0 is the home position, not the first waypoint."""
+    keeps_parameters: bool
+    """Whether all four parameters of an item come back as sent; ArduPilot keeps those a command uses, narrowed."""
+
+
+class AutopilotProfile(abc.ABC):
+    """One kind of autopilot. Instances are stateless; use `PROFILES`."""
+
+    name: Literal["px4", "ardupilot"]
+    title: str
+    autopilot_id: int
+    """MAV_AUTOPILOT in its HEARTBEAT."""
+    setpoint_message_id: int
+    coordinate_frame: int
+    type_mask = POSITION_VELOCITY_ACCELERATION
+    needs_origin: bool
+    """Whether `encode` needs the vehicle's EKF origin."""
+    offboard_mode: str
+    hold_mode: str
+    """A mode that keeps its place without a pilot's radio."""
+    return_mode: str
+    land_mode: str
+    modes: Mapping[str, int]
+    """Mode names to custom_mode numbers."""
+    stream_before_offboard_s: float
+    """How long setpoints must have been arriving before the mode is asked for."""
+    min_stream_hz: float
+    """A slower stream counts as lost."""
+    parameter_encoding: Literal["bytewise", "c_cast"]
+    parameters: tuple[ParameterName, ...]
+    mission: MissionTraits
+
+    def encode(
+        self,
+        setpoint: Setpoint,
+        *,
+        target_system: int,
+        target_component: int = AUTOPILOT_COMPONENT,
+        time_boot_ms: int | None = None,
+        origin: EkfOrigin | None = None,
+    ) -> Any:
+        """The setpoint as this autopilot's message. ``time_boot_ms`` defaults to T+ (no autopilot reads it).
+
+        Raises `UnsafeSetpoint` for anything not finite or out of range, `MissingOrigin` where ``origin`` is needed.
+        """
+        if time_boot_ms is None:
+            _check("time_s", setpoint.time_s, 0.0, _UINT32 / 1000.0)
+            time_boot_ms = int(setpoint.time_s * 1000.0)
+        _check("time_boot_ms", time_boot_ms, 0, _UINT32)
+        _check("target_system", target_system, 1, 255)
+        _check("target_component", target_component, 0, 255)
+        _check("lat_deg", setpoint.lat_deg, -90.0, 90.0)
+        _check("lon_deg", setpoint.lon_deg, -180.0, 180.0)
+        _check("alt_amsl_m", setpoint.alt_amsl_m, *ALTITUDE_BAND_AMSL_M)
+        _check("yaw_deg", setpoint.yaw_deg, -360.0, 360.0)
+        for axis, speed in zip("ned", setpoint.velocity_ned_m_s, strict=True):
+            _check(f"v{axis}_m_s", speed, -MAX_SPEED_M_S, MAX_SPEED_M_S)
+        for axis, acceleration in zip("ned", setpoint.acceleration_ned_m_s2, strict=True):
+            _check(f"a{axis}_m_s2", acceleration, -MAX_ACCELERATION_M_S2, MAX_ACCELERATION_M_S2)
+        return self._message(
+            setpoint,
+            (int(time_boot_ms), int(target_system), int(target_component)),
+            math.remainder(math.radians(setpoint.yaw_deg), math.tau),
+            origin,
+        )
+
+    @abc.abstractmethod
+    def _message(self, setpoint: Setpoint, head: tuple[int, int, int], yaw_rad: float, origin: EkfOrigin | None) -> Any:
+        """The message of a checked setpoint."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def _project(origin: EkfOrigin, lat_deg: float, lon_deg: float) -> tuple[float, float]: ...
+
+    @staticmethod
+    @abc.abstractmethod
+    def _unproject(origin: EkfOrigin, north_m: float, east_m: float) -> tuple[float, float]: ...
+
+    @abc.abstractmethod
+    def _mode_words(self, custom_mode: int) -> tuple[float, float]: ...
+
+    def north_east_m(self, origin: EkfOrigin, lat_deg: float, lon_deg: float) -> tuple[float, float]:
+        """Where the vehicle's own projection puts a place, from its EKF origin."""
+        return self._project(origin, lat_deg, lon_deg)
+
+    def lat_lon_deg(self, origin: EkfOrigin, north_m: float, east_m: float) -> tuple[float, float]:
+        """Inverse of `north_east_m`: the place behind a LOCAL_POSITION_NED."""
+        return self._unproject(origin, north_m, east_m)
+
+    def set_mode_parameters(self, mode: str) -> tuple[float, float, float, float, float, float, float]:
+        """The seven parameters of MAV_CMD_DO_SET_MODE for a mode of `modes`; `KeyError` for any other."""
+        flag = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+        return (flag, *self._mode_words(self.modes[mode]), 0.0, 0.0, 0.0, 0.0)
+
+    def is_autopilot(self, heartbeat: Any) -> bool:
+        """Whether a HEARTBEAT is the flight controller's own: gimbals and modems of the vehicle send them too."""
+        return bool(
+            heartbeat.get_type() == "HEARTBEAT"
+            and heartbeat.get_srcComponent() == AUTOPILOT_COMPONENT
+            and heartbeat.autopilot == self.autopilot_id
+            and heartbeat.type != mavlink.MAV_TYPE_GCS
+        )
+
+    def mode_of(self, heartbeat: Any) -> str:
+        """Mode name from a HEARTBEAT, ``"mode N"`` where the number is not known."""
+        number = self._mode_number(heartbeat.custom_mode)
+        for name, known in self.modes.items():
+            if known == number:
+                return name
+        return f"mode {heartbeat.custom_mode}"
+
+    def is_offboard(self, heartbeat: Any) -> bool:
+        """Whether the vehicle follows setpoints. Believe this alone: PX4 acknowledges the mode without taking it."""
+        return self.mode_of(heartbeat) == self.offboard_mode
+
+    def is_armed(self, heartbeat: Any) -> bool:
+        """Whether the motors are armed, from a HEARTBEAT."""
+        return bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def _mode_number(self, custom_mode: int) -> int:
+        return custom_mode
+
+    def parameter(self, key: str) -> ParameterName:
+        """The parameter known here as ``key``; `KeyError` for any other."""
+        for parameter in self.parameters:
+            if parameter.key == key:
+                return parameter
+        raise KeyError(key)
+
+
+def _check(field: str, value: float, low: float, high: float) -> None:
+    # Written so that NaN fails it.
+    if not low <= value <= high:
+        raise UnsafeSetpoint(field, value, f"{low:g} to {high:g}")
+
+
+def _px4_mode(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+class Px4Profile(AutopilotProfile):
+    """PX4 1.15 and later, multicopter or VTOL in hover."""
+
+    name = "px4"
+    title = "PX4"
+    autopilot_id = mavlink.MAV_AUTOPILOT_PX4
+    setpoint_message_id = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
+    coordinate_frame = mavlink.MAV_FRAME_GLOBAL_INT
+    needs_origin = False
+    offboard_mode, hold_mode, return_mode, land_mode = "OFFBOARD", "HOLD", "RTL", "LAND"
+    modes = MappingProxyType(
+        {
+            "MANUAL": _px4_mode(1),
+            "ALTCTL": _px4_mode(2),
+            "POSCTL": _px4_mode(3),
+            "READY": _px4_mode(4, 1),
+            "TAKEOFF": _px4_mode(4, 2),
+            "HOLD": _px4_mode(4, 3),
+            "MISSION": _px4_mode(4, 4),
+            "RTL": _px4_mode(4, 5),
+            "LAND": _px4_mode(4, 6),
+            "FOLLOW": _px4_mode(4, 8),
+            "PRECLAND": _px4_mode(4, 9),
+            "ACRO": _px4_mode(5),
+            "OFFBOARD": _px4_mode(6),
+            "STABILIZED": _px4_mode(7),
+        }
+    )
+    stream_before_offboard_s = 1.0
+    min_stream_hz = 2.0
+    parameter_encoding = "bytewise"
+    parameters = (
+        ParameterName(
+            "offboard_loss_timeout", ("COM_OF_LOSS_T",), False, "s", "silence until the stream counts as lost"
+        ),
+        ParameterName("offboard_loss_action", ("COM_OBL_RC_ACT",), True, "", "what it does then"),
+        ParameterName(
+            "data_link_loss_action", ("NAV_DLL_ACT",), True, "", "what it does without any station's heartbeat"
+        ),
+        ParameterName("data_link_loss_timeout", ("COM_DL_LOSS_T",), True, "s", "silence until that"),
+        ParameterName(
+            "rc_loss_exceptions", ("COM_RCL_EXCEPT",), True, "bits", "modes in which a missing pilot's radio is fine"
+        ),
+        ParameterName("rc_loss_action", ("NAV_RCL_ACT",), True, "", "what it does without a pilot's radio"),
+        ParameterName("rc_input_mode", ("COM_RC_IN_MODE",), True, "", "where pilot's input comes from"),
+        ParameterName("return_altitude", ("RTL_RETURN_ALT",), False, "m", "height of the return above home"),
+        ParameterName("max_speed", ("MPC_XY_VEL_MAX",), False, "m/s", "horizontal speed limit"),
+        ParameterName("max_climb", ("MPC_Z_VEL_MAX_UP",), False, "m/s", "climb limit"),
+        ParameterName("max_descent", ("MPC_Z_VEL_MAX_DN",), False, "m/s", "descent limit"),
+        ParameterName("max_acceleration", ("MPC_ACC_HOR",), False, "m/s^2", "horizontal acceleration limit"),
+        ParameterName("max_tilt", ("MPC_TILTMAX_AIR",), False, "deg", "lean limit"),
+        ParameterName("system_id", ("MAV_SYS_ID",), True, "", "the vehicle's own MAVLink id"),
+    )
+    mission = MissionTraits(
+        keeps_old_after_failure=True,
+        honours_cancel=True,
+        upload_timeout_s=5.0,
+        first_item_is_home=False,
+        keeps_parameters=True,
+    )
+
+    def _message(self, setpoint: Setpoint, head: tuple[int, int, int], yaw_rad: float, origin: EkfOrigin | None) -> Any:
+        return mavlink.MAVLink_set_position_target_global_int_message(
+            *head,
+            self.coordinate_frame,
+            self.type_mask,
+            round(setpoint.lat_deg * 1e7),
+            round(setpoint.lon_deg * 1e7),
+            setpoint.alt_amsl_m,
+            *setpoint.velocity_ned_m_s,
+            *setpoint.acceleration_ned_m_s2,
+            yaw_rad,
+            0.0,
+        )
+
+    _project = staticmethod(projection.px4_north_east_m)
+    _unproject = staticmethod(projection.px4_lat_lon_deg)
+
+    def _mode_words(self, custom_mode: int) -> tuple[float, float]:
+        return float(custom_mode >> 16 & 255), float(custom_mode >> 24 & 255)
+
+    def _mode_number(self, custom_mode: int) -> int:
+        # The sub-mode means something in AUTO alone.
+        main, sub = custom_mode >> 16 & 255, custom_mode >> 24 & 255
+        return _px4_mode(main, sub if main == 4 else 0)
+
+
+class ArduPilotProfile(AutopilotProfile):
+    """ArduCopter 4.3 and later (older names of parameters included)."""
+
+    name = "ardupilot"
+    title = "ArduPilot"
+    autopilot_id = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    setpoint_message_id = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+    coordinate_frame = mavlink.MAV_FRAME_LOCAL_NED
+    needs_origin = True
+    # BRAKE, not LOITER: without a pilot's radio LOITER sank 14 m in 6 s.
+    offboard_mode, hold_mode, return_mode, land_mode = "GUIDED", "BRAKE", "RTL", "LAND"
+    modes = MappingProxyType(
+        {
+            "STABILIZE": 0,
+            "ACRO": 1,
+            "ALT_HOLD": 2,
+            "AUTO": 3,
+            "GUIDED": 4,
+            "LOITER": 5,
+            "RTL": 6,
+            "CIRCLE": 7,
+            "LAND": 9,
+            "DRIFT": 11,
+            "SPORT": 13,
+            "FLIP": 14,
+            "AUTOTUNE": 15,
+            "POSHOLD": 16,
+            "BRAKE": 17,
+            "THROW": 18,
+            "AVOID_ADSB": 19,
+            "GUIDED_NOGPS": 20,
+            "SMART_RTL": 21,
+            "FLOWHOLD": 22,
+            "FOLLOW": 23,
+            "ZIGZAG": 24,
+            "SYSTEMID": 25,
+            "AUTOROTATE": 26,
+            "AUTO_RTL": 27,
+        }
+    )
+    stream_before_offboard_s = 0.0
+    min_stream_hz = 0.0
+    parameter_encoding = "c_cast"
+    parameters = (
+        ParameterName("offboard_loss_timeout", ("GUID_TIMEOUT",), False, "s", "silence until it brakes and flies back"),
+        ParameterName("guided_options", ("GUID_OPTIONS",), True, "bits", "what GUIDED allows"),
+        ParameterName("gcs_failsafe", ("FS_GCS_ENABLE",), True, "", "what it does without the owner's heartbeat"),
+        ParameterName("gcs_failsafe_timeout", ("FS_GCS_TIMEOUT",), False, "s", "silence until that"),
+        ParameterName("failsafe_options", ("FS_OPTIONS",), True, "bits", "exceptions from failsafes"),
+        ParameterName(
+            "gcs_system_id", ("MAV_GCS_SYSID", "SYSID_MYGCS"), True, "", "station in control, or the lowest of a range"
+        ),
+        ParameterName("gcs_system_id_high", ("MAV_GCS_SYSID_HI",), True, "", "highest station of the range"),
+        ParameterName(
+            "enforce_gcs", ("MAV_OPTIONS", "SYSID_ENFORCE"), True, "bits", "bit 0: other stations are not heard"
+        ),
+        ParameterName("system_id", ("MAV_SYSID", "SYSID_THISMAV"), True, "", "the vehicle's own MAVLink id"),
+        ParameterName("return_altitude", ("RTL_ALT",), True, "cm", "height of the return above home"),
+        ParameterName("max_speed", ("WPNAV_SPEED",), False, "cm/s", "horizontal speed of its own navigation"),
+        ParameterName("max_climb", ("WPNAV_SPEED_UP",), False, "cm/s", "climb of its own navigation"),
+        ParameterName("max_descent", ("WPNAV_SPEED_DN",), False, "cm/s", "descent of its own navigation"),
+        ParameterName("max_acceleration", ("WPNAV_ACCEL",), False, "cm/s^2", "acceleration of its own navigation"),
+        ParameterName("max_tilt", ("ANGLE_MAX",), True, "cdeg", "lean limit"),
+    )
+    mission = MissionTraits(
+        keeps_old_after_failure=False,
+        honours_cancel=False,
+        upload_timeout_s=8.0,
+        first_item_is_home=True,
+        keeps_parameters=False,
+    )
+
+    def _message(self, setpoint: Setpoint, head: tuple[int, int, int], yaw_rad: float, origin: EkfOrigin | None) -> Any:
+        if origin is None:
+            raise MissingOrigin(
+                "ArduPilot takes local coordinates: wait for GPS_GLOBAL_ORIGIN (request message 49) and pass it"
+            )
+        latitudes = f"-{MAX_LOCAL_LATITUDE_DEG:g} to {MAX_LOCAL_LATITUDE_DEG:g} in ArduPilot's local frame"
+        if not abs(setpoint.lat_deg) <= MAX_LOCAL_LATITUDE_DEG:
+            raise UnsafeSetpoint("lat_deg", setpoint.lat_deg, latitudes)
+        if not abs(origin.lat_deg) <= MAX_LOCAL_LATITUDE_DEG:
+            raise UnsafeSetpoint("origin.lat_deg", origin.lat_deg, latitudes)
+        north, east = projection.ardupilot_north_east_m(origin, setpoint.lat_deg, setpoint.lon_deg)
+        _check("north_m of the EKF origin", north, -MAX_LOCAL_OFFSET_M, MAX_LOCAL_OFFSET_M)
+        _check("east_m of the EKF origin", east, -MAX_LOCAL_OFFSET_M, MAX_LOCAL_OFFSET_M)
+        return mavlink.MAVLink_set_position_target_local_ned_message(
+            *head,
+            self.coordinate_frame,
+            self.type_mask,
+            north,
+            east,
+            origin.alt_amsl_m - setpoint.alt_amsl_m,
+            *setpoint.velocity_ned_m_s,
+            *setpoint.acceleration_ned_m_s2,
+            yaw_rad,
+            0.0,
+        )
+
+    _project = staticmethod(projection.ardupilot_north_east_m)
+    _unproject = staticmethod(projection.ardupilot_lat_lon_deg)
+
+    def _mode_words(self, custom_mode: int) -> tuple[float, float]:
+        return float(custom_mode), 0.0
+
+
+PROFILES: Mapping[str, AutopilotProfile] = MappingProxyType({"px4": Px4Profile(), "ardupilot": ArduPilotProfile()})
+"""The autopilots we speak to, by the name used on the command line and in documents."""

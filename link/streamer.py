@@ -1,0 +1,337 @@
+"""The streamer: the one process that talks to the vehicle during a flight. ``python -m link.streamer RUN_DIR``.
+
+It owns every socket, drives `link.flight.FlightCore` on the real clock and does nothing else, so that nothing else can
+delay a setpoint: as a thread beside a web service the same loop stalled for a second. It outlives whoever started it.
+Whoever wants to speak to it connects to the Unix socket in its run folder; when nobody is connected any more the flight
+goes on as far as it was authorised.
+
+The run folder holds ``request.json`` (what to fly), ``control.sock``, ``events.jsonl`` (every event, appended as it
+happens), ``result.json`` (at the end), ``pid`` and ``streamer.log``.
+
+Lines on the socket are JSON objects. In: ``{"attach": SEQUENCE}`` (events after that one are sent, then all new ones),
+``{"id": N, "word": ..., ...}``, ``{"id": N, "status": true}``. Out: ``{"event": {...}}``, ``{"reply": N, "ok": true}``,
+``{"reply": N, "error": "..."}``, ``{"reply": N, "status": {...}}``.
+
+Timing: absolute deadlines, missed ticks skipped and counted, real-time priority where the system grants it, and the
+garbage collector's first full look taken before the flight. Logs are written by a thread of their own: a full or slow
+disk costs log lines, not setpoints.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import queue
+import select
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gcs.flight import FlightEvent, TransitionError, Word
+from link.clock import FlightClock, PacedClock
+from link.codec import StationCodec
+from link.control_socket import ControlServer
+from link.endpoint import Endpoint, open_endpoint
+from link.errors import FlightRequestError, LinkError
+from link.flight import FlightCore, FlightRequest
+from link.link_lock import LinkLocks
+from link.signing import Signing, SigningKey
+from link.signing_store import SigningStore
+from link.tlog import TlogWriter
+
+EXIT_FAULT, EXIT_REFUSED_REQUEST = 1, 2
+REAL_TIME_PRIORITY = 10
+UPKEEP_S = 0.25
+"""Endpoints are looked after at least this often, heard or not."""
+LINGER_S = 0.5
+"""How long a finished streamer stays to deliver its last events."""
+
+
+class Recorder:
+    """Writes frames and events from a thread of its own; never blocks and never raises into the flight."""
+
+    def __init__(self, run_dir: Path, log_path: str | None, epoch_unix_s: float) -> None:
+        self._queue: queue.SimpleQueue[tuple[str, float, bytes] | None] = queue.SimpleQueue()
+        self._epoch_unix_s = epoch_unix_s
+        self._log = None if log_path is None else TlogWriter(log_path, tolerant=True)
+        self._events = os.open(run_dir / "events.jsonl", os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
+        self.dropped = 0
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def frame(self, now_s: float, frame: bytes) -> None:
+        """Keep a frame sent or heard."""
+        if self._log is not None:
+            self._queue.put(("frame", now_s, frame))
+
+    def event(self, event: FlightEvent) -> None:
+        """Keep an event."""
+        self._queue.put(("event", 0.0, json.dumps(event.to_document(), allow_nan=False).encode() + b"\n"))
+
+    def close(self) -> None:
+        """Write out what is queued, for a few seconds at most."""
+        self._queue.put(None)
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        while (item := self._queue.get()) is not None:
+            kind, now_s, data = item
+            try:
+                if kind == "event":
+                    os.write(self._events, data)
+                elif self._log is not None:
+                    self._log.write(data, int((self._epoch_unix_s + now_s) * 1e6))
+            except OSError:
+                self.dropped += 1
+        if self._log is not None:
+            self._log.close()
+        os.close(self._events)
+
+
+def make_codecs(request: FlightRequest, run_dir: Path) -> dict[str, StationCodec]:
+    """A codec for each station of the plan, signing where the request names a key.
+
+    Raises `link.errors.SigningError` when the key or the stamps cannot be used.
+    """
+    plan = request.flown_plan
+    key = None
+    if request.signing_key is not None:
+        kind, name = request.signing_key.split(":", 1)
+        key = SigningKey.from_file(name) if kind == "file" else SigningKey.from_environment(name)
+    folder = Path(request.signing_state) if request.signing_state is not None else run_dir
+    codecs = {}
+    for station_id in dict.fromkeys(plan.station_ids):
+        system_id = int(plan.mission.stations[plan.mission.station_index(station_id)].system_id or 0)
+        signing = None
+        if key is not None:
+            # A distinct link id for each station; RADIO_STATUS comes from the modem, which has no key.
+            store = SigningStore.open(folder / f"station-{system_id}.stamps")
+            signing = Signing(key, system_id, store, allow_unsigned=(109,))
+        codecs[station_id] = StationCodec(system_id, signing=signing)
+    return codecs
+
+
+def open_links(request: FlightRequest) -> dict[str, Endpoint]:
+    """An endpoint for each URL of the request.
+
+    Raises `EndpointError`, or `FlightRequestError` for links this flight must not use: not loopback with a speed-up, or
+    unsigned.
+    """
+    from gcs.errors import Fault
+
+    endpoints: dict[str, Endpoint] = {}
+    try:
+        for url in dict.fromkeys(request.links.values()):
+            endpoints[url] = open_endpoint(url)
+        problems = []
+        for station, url in request.links.items():
+            if endpoints[url].is_loopback:
+                continue
+            if request.speedup != 1.0:
+                problems.append(
+                    Fault(
+                        f"links.{station}", "a speed-up is for simulations", url, "loopback links", "fly at speed-up 1"
+                    )
+                )
+            if request.signing_key is None and not request.allow_unsigned:
+                problems.append(
+                    Fault(
+                        f"links.{station}",
+                        "the link leaves this machine and nothing on it is signed",
+                        url,
+                        "a signing key, or the word that unsigned is meant",
+                        "name a signing key, or allow unsigned links",
+                    )
+                )
+        if problems:
+            raise FlightRequestError(problems)
+    except Exception:
+        for endpoint in endpoints.values():
+            endpoint.close()
+        raise
+    return endpoints
+
+
+def raise_priority() -> str:
+    """Real-time scheduling for this thread where permitted; what was got."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+    except (OSError, AttributeError):
+        with contextlib.suppress(OSError):
+            os.nice(-10)
+            return "nice -10"
+        return "ordinary"
+    return f"SCHED_FIFO {REAL_TIME_PRIORITY}"
+
+
+class Streamer:
+    """The core, its sockets and its clock."""
+
+    def __init__(self, request: FlightRequest, run_dir: Path) -> None:
+        self.request = request
+        self.run_dir = run_dir
+        self.endpoints = open_links(request)
+        self.locks = LinkLocks(request.links.values())
+        self.clock = FlightClock() if request.speedup == 1.0 else PacedClock(request.speedup)
+        epoch_unix_s = time.time()
+        self.recorder = Recorder(run_dir, request.log_path, epoch_unix_s)
+        self.core = FlightCore(
+            request,
+            codecs=make_codecs(request, run_dir),
+            now_s=self.clock.now_s(),
+            epoch_unix_s=epoch_unix_s,
+            on_frame=self.recorder.frame,
+        )
+        self.control = ControlServer(run_dir / "control.sock")
+        self.events: list[dict[str, Any]] = []
+        self._stop = False
+        self._deadline_s = 0.0
+        # A shared link's bytes go in once, under the first station that has it.
+        self._first = {url: next(s for s, u in request.links.items() if u == url) for url in self.endpoints}
+
+    def run(self) -> int:
+        """Fly; the exit code."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, lambda *_: setattr(self, "_stop", True))
+        gc.collect()
+        gc.freeze()
+        # Young garbage alone: a full look may take longer than a tick.
+        gc.set_threshold(20_000, 20, 100_000)
+        sys.setswitchinterval(0.0005)
+        self._log(f"priority: {raise_priority()}")
+        self.core.start(self.clock.now_s())
+        while not self.core.finished:
+            self._wait()
+            self._listen()
+            now_s = self.clock.now_s()
+            if now_s >= self._deadline_s:
+                self._tick(now_s)
+        self._deliver_rest()
+        return self.core.state.exit_code
+
+    def _tick(self, now_s: float) -> None:
+        self._deadline_s = self.core.step(now_s)
+        links = self.request.links
+        for station, frame in self.core.take_outgoing():
+            self.endpoints[links[station]].send(frame)
+        self.core.tell()
+        self._publish()
+        if self._stop:
+            self._stop = False
+            self._obey({"word": "abort", "by": "SIGTERM", "reason": "the streamer was told to stop"})
+
+    def _wait(self) -> None:
+        descriptors = [e.fileno() for e in self.endpoints.values() if e.fileno() >= 0]
+        wait_s = min(self.clock.wait_s(self._deadline_s), UPKEEP_S)
+        try:
+            select.select([*descriptors, *self.control.filenos()], self.control.writers(), [], wait_s)
+        except (OSError, ValueError):
+            # A descriptor closed between the asking and the waiting: the next look has the new ones.
+            time.sleep(min(wait_s, 0.001))
+
+    def _listen(self) -> None:
+        for url, endpoint in self.endpoints.items():
+            for data in endpoint.receive():
+                self.core.receive(self._first[url], data, self.clock.now_s())
+                if isinstance(self.clock, PacedClock):
+                    position = self.core.context.monitor.position
+                    self.clock.heard(None if position is None else position.boot_s)
+        for client, line in self.control.receive():
+            self._answer(client, line)
+        attended = self.control.attended
+        if attended is not None:
+            (self.core.parent_back if attended else self.core.parent_gone)()
+
+    # -- control ------------------------------------------------------------------------------------------------------
+
+    def _answer(self, client: int, line: Mapping[str, Any]) -> None:
+        if "attach" in line:
+            after = int(line["attach"])
+            for event in self.events[after:]:
+                self.control.send(client, {"event": event})
+            self.control.subscribe(client)
+            return
+        reply: dict[str, Any] = {"reply": line.get("id")}
+        if line.get("status"):
+            reply["status"] = self.core.status()
+        else:
+            error = self._obey(line)
+            reply |= {"ok": True} if error is None else {"error": error}
+        self.control.send(client, reply)
+
+    def _obey(self, line: Mapping[str, Any]) -> str | None:
+        """Pass a word on; why it was refused, None when it was not."""
+        known = {"by", "handover", "until_s", "reason", "plan_sha256"}
+        try:
+            self.core.command(
+                Word(line.get("word", "")), **{k: v for k, v in line.items() if k in known and v is not None}
+            )
+        except (TransitionError, ValueError, TypeError) as error:
+            return str(error)
+        return None
+
+    def _publish(self) -> None:
+        for event in self.core.take_events():
+            self.recorder.event(event)
+            document = event.to_document()
+            self.events.append(document)
+            self.control.broadcast({"event": document})
+
+    def _deliver_rest(self) -> None:
+        self._publish()
+        result = {"state": self.core.state.value, "exit_code": self.core.state.exit_code, **self.core.summary()}
+        write_whole(self.run_dir / "result.json", json.dumps(result).encode())
+        until = time.monotonic() + LINGER_S
+        while time.monotonic() < until and self.control.pending():
+            select.select([], self.control.writers(), [], 0.05)
+            for _ in self.control.receive():
+                pass
+        self.close()
+
+    def _log(self, text: str) -> None:
+        print(text, file=sys.stderr, flush=True)  # noqa: T201 - the process's own log
+
+    def close(self) -> None:
+        """Let go of everything."""
+        self.control.close()
+        for endpoint in self.endpoints.values():
+            endpoint.close()
+        self.recorder.close()
+        self.locks.release()
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it is there in full or not at all."""
+    partial = path.with_suffix(path.suffix + ".partial")
+    partial.write_bytes(data)
+    partial.replace(path)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a flight from its folder; the exit code: the flight's own, 1 for a fault of ours, 2 for a bad request."""
+    run_dir = Path((sys.argv[1:] if arguments is None else arguments)[0])
+    try:
+        request = FlightRequest.from_document(json.loads((run_dir / "request.json").read_bytes()))
+        streamer = Streamer(request, run_dir)
+    except (LinkError, OSError, ValueError) as error:
+        write_whole(run_dir / "refusal.json", json.dumps({"error": str(error), "kind": type(error).__name__}).encode())
+        return EXIT_REFUSED_REQUEST
+    try:
+        return streamer.run()
+    except Exception:  # silence is the answer to any fault of ours: the autopilot's failsafe understands it
+        traceback.print_exc()
+        return EXIT_FAULT
+    finally:
+        with contextlib.suppress(Exception):
+            streamer.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

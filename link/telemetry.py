@@ -1,0 +1,346 @@
+"""What the vehicle says, over all links at once: its state, its links' health, its own words.
+
+Messages of the vehicle's autopilot (its system id, component 1) alone count; its gimbals and companions send
+heartbeats too. The same message comes once over every link and, over radio, late or out of order: what carries a
+time stamp is taken once and never backwards; a stamp that goes far back means that the autopilot has restarted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from link.dialect import mavlink
+from link.projection import EkfOrigin
+
+AUTOPILOT_COMPONENT = 1
+REBOOT_BACK_S = 3.0
+"""A time stamp this far behind is no reordering."""
+TEXT_CHUNK = 50
+SAME_TEXT_S = 2.0
+PROBE_MEMORY = 64
+OFFSET_WINDOW_S = 20.0
+
+GROUND_STATION_TYPES = (mavlink.MAV_TYPE_GCS,)
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """GLOBAL_POSITION_INT (33): degrees, metres AMSL and above home, m/s true north/east/down.
+
+    ``boot_s`` is the vehicle's clock, ``heard_s`` ours when it came.
+    """
+
+    boot_s: float
+    heard_s: float
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+    alt_above_home_m: float
+    velocity_ned_m_s: tuple[float, float, float]
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed over ground and up, together."""
+        return math.hypot(*self.velocity_ned_m_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """HEARTBEAT (0) of the autopilot, and when it came."""
+
+    heard_s: float
+    autopilot: int
+    vehicle_type: int
+    base_mode: int
+    custom_mode: int
+    system_status: int
+
+    @property
+    def armed(self) -> bool:
+        """MAV_MODE_FLAG_SAFETY_ARMED."""
+        return bool(self.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+
+@dataclass
+class StationLink:
+    """The health of one station's link. Times are the flight's clock, minus infinity where nothing came yet."""
+
+    station_id: str
+    heard_s: float = -math.inf
+    """Anything of the vehicle's autopilot over this link."""
+    heartbeat_s: float = -math.inf
+    proven_s: float = -math.inf
+    """When the latest frame of ours left that the vehicle has answered over this link: both directions work."""
+    round_trip_s: float | None = None
+    messages: int = 0
+    origin: EkfOrigin | None = None
+    origin_s: float = -math.inf
+    probes: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=PROBE_MEMORY))
+
+    def answered(self, sent_s: float, now_s: float) -> None:
+        """A frame sent at ``sent_s`` was answered at ``now_s``."""
+        self.proven_s = max(self.proven_s, sent_s)
+        trip = now_s - sent_s
+        self.round_trip_s = trip if self.round_trip_s is None else 0.8 * self.round_trip_s + 0.2 * trip
+
+
+class VehicleMonitor:
+    """Everything heard, merged. ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids."""
+
+    def __init__(self, stations: tuple[str, ...], vehicle_system_id: int, own_system_ids: frozenset[int]) -> None:
+        self.vehicle_system_id = vehicle_system_id
+        self.links = {station: StationLink(station) for station in stations}
+        self.heartbeat: Heartbeat | None = None
+        self.position: Position | None = None
+        self.version: Any = None
+        self.home_amsl_m: float | None = None
+        self.landed_state: int = 0
+        self.battery_percent: int | None = None
+        self.control_main: int | None = None
+        self.control_s = -math.inf
+        self.target: Any = None
+        self.target_s = -math.inf
+        self.reboots = 0
+        self.foreign_stations: dict[int, float] = {}
+        self._own = own_system_ids
+        self._boot_ms = -1
+        self._behind: deque[float] = deque(maxlen=3)
+        self._offset: list[tuple[float, float]] = []
+        self._texts: list[tuple[int, str]] = []
+        self._recent_texts: deque[tuple[float, int, str]] = deque(maxlen=32)
+        self._chunks: dict[tuple[str, int], dict[int, str]] = {}
+        self._probe_count = 0
+
+    # -- in -----------------------------------------------------------------------------------------------------------
+
+    def receive(self, now_s: float, station_id: str, message: Any) -> bool:
+        """Take a message heard over a station's link; whether it was the vehicle's autopilot speaking."""
+        system, component = message.get_srcSystem(), message.get_srcComponent()
+        kind = message.get_type()
+        if system != self.vehicle_system_id:
+            if kind == "HEARTBEAT" and message.type in GROUND_STATION_TYPES and system not in self._own:
+                self.foreign_stations[system] = now_s
+            return False
+        if component != AUTOPILOT_COMPONENT:
+            return False
+        link = self.links[station_id]
+        link.heard_s = max(link.heard_s, now_s)
+        link.messages += 1
+        fresh = self._in_order(now_s, getattr(message, "time_boot_ms", None))
+        handler = _HANDLERS.get(kind)
+        if handler is not None:
+            handler(self, now_s, link, message, fresh)
+        return True
+
+    def _in_order(self, now_s: float, boot_ms: int | None) -> bool:
+        """Whether a stamp is newer than, or as new as, the newest; notices a restart."""
+        if boot_ms is None:
+            return True
+        if boot_ms >= self._boot_ms:
+            self._boot_ms = boot_ms
+            self._behind.clear()
+            self._note_offset(now_s, boot_ms * 1e-3)
+            return True
+        if self._boot_ms - boot_ms < REBOOT_BACK_S * 1e3:
+            return False
+        # A single frame that was on its way for seconds is no restart; a few in a row are.
+        self._behind.append(now_s)
+        if len(self._behind) == self._behind.maxlen:
+            self.reboots += 1
+            self._boot_ms = boot_ms
+            self._behind.clear()
+            self._offset.clear()
+            self.position = None
+            for link in self.links.values():
+                link.origin = None
+        return False
+
+    def _note_offset(self, now_s: float, boot_s: float) -> None:
+        offset = now_s - boot_s
+        if not self._offset or now_s - self._offset[-1][0] > OFFSET_WINDOW_S:
+            self._offset = [*self._offset[-1:], (now_s, offset)]
+        elif offset < self._offset[-1][1]:
+            self._offset[-1] = (self._offset[-1][0], offset)
+
+    def our_time_s(self, boot_s: float) -> float | None:
+        """Our clock when the vehicle's showed ``boot_s``: by the fastest message lately, so late by its delay alone."""
+        if not self._offset:
+            return None
+        return boot_s + min(offset for _, offset in self._offset)
+
+    def probe(self, now_s: float, station_id: str) -> Any:
+        """A TIMESYNC of a station whose answer can only be the answer to it (matched by ``ts1``)."""
+        self._probe_count += 1
+        # Nanoseconds of our clock would repeat between stations; the count cannot.
+        nonce = (int(max(now_s, 0.0) * 1e6) << 20) | (self._probe_count & 0xFFFFF)
+        self.links[station_id].probes.append((nonce, now_s))
+        return mavlink.MAVLink_timesync_message(0, nonce)
+
+    # -- out ----------------------------------------------------------------------------------------------------------
+
+    def take_texts(self) -> list[tuple[int, str]]:
+        """(severity, text) of what the vehicle said since the last call, each once however many links brought it."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    def heard_within(self, now_s: float, station_id: str, age_s: float) -> bool:
+        """Whether the vehicle was heard over a station's link lately."""
+        return now_s - self.links[station_id].heard_s <= age_s
+
+    def proven_within(self, now_s: float, station_id: str, age_s: float) -> bool:
+        """Whether a frame no older than ``age_s`` was answered over a station's link."""
+        return now_s - self.links[station_id].proven_s <= age_s
+
+    def last_heard_s(self) -> float:
+        """When the vehicle was last heard over any link."""
+        return max(link.heard_s for link in self.links.values())
+
+    # -- messages -----------------------------------------------------------------------------------------------------
+
+    def _on_heartbeat(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        link.heartbeat_s = now_s
+        self.heartbeat = Heartbeat(now_s, m.autopilot, m.type, m.base_mode, m.custom_mode, m.system_status)
+
+    def _on_global_position(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        if not fresh or (self.position is not None and m.time_boot_ms * 1e-3 <= self.position.boot_s):
+            return
+        self.position = Position(
+            m.time_boot_ms * 1e-3,
+            now_s,
+            m.lat * 1e-7,
+            m.lon * 1e-7,
+            m.alt * 1e-3,
+            m.relative_alt * 1e-3,
+            (m.vx * 0.01, m.vy * 0.01, m.vz * 0.01),
+        )
+
+    def _on_target(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        if fresh:
+            self.target, self.target_s = m, now_s
+
+    def _on_timesync(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        if m.tc1 == 0:
+            return
+        for nonce, sent_s in link.probes:
+            if nonce == m.ts1:
+                link.answered(sent_s, now_s)
+                return
+
+    def _on_origin(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        link.origin = EkfOrigin.from_message(m)
+        link.origin_s = now_s
+
+    def _on_home(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        self.home_amsl_m = m.altitude * 1e-3
+
+    def _on_extended_state(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        self.landed_state = m.landed_state
+
+    def _on_sys_status(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        self.battery_percent = m.battery_remaining if m.battery_remaining >= 0 else None
+
+    def _on_version(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        self.version = m
+
+    def _on_control_status(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        self.control_main, self.control_s = m.gcs_main, now_s
+
+    def _on_text(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        text = m.text
+        if m.id:
+            chunks = self._chunks.setdefault((link.station_id, m.id), {})
+            chunks[m.chunk_seq] = text
+            last = max(chunks)
+            if len(chunks[last]) >= TEXT_CHUNK or len(chunks) != last + 1:
+                return
+            text = "".join(chunks[k] for k in sorted(chunks))
+            del self._chunks[link.station_id, m.id]
+        # PX4 ends its texts with a tab.
+        text = text.strip()
+        for heard_s, severity, before in self._recent_texts:
+            if now_s - heard_s <= SAME_TEXT_S and severity == m.severity and before == text:
+                return
+        self._recent_texts.append((now_s, m.severity, text))
+        self._texts.append((m.severity, text))
+
+
+_HANDLERS = {
+    "HEARTBEAT": VehicleMonitor._on_heartbeat,
+    "GLOBAL_POSITION_INT": VehicleMonitor._on_global_position,
+    "POSITION_TARGET_LOCAL_NED": VehicleMonitor._on_target,
+    "TIMESYNC": VehicleMonitor._on_timesync,
+    "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_origin,
+    "HOME_POSITION": VehicleMonitor._on_home,
+    "EXTENDED_SYS_STATE": VehicleMonitor._on_extended_state,
+    "SYS_STATUS": VehicleMonitor._on_sys_status,
+    "AUTOPILOT_VERSION": VehicleMonitor._on_version,
+    "CONTROL_STATUS": VehicleMonitor._on_control_status,
+    "STATUSTEXT": VehicleMonitor._on_text,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A setpoint that went out: when, from whom, and what it asked in the vehicle's local frame (NED)."""
+
+    sent_s: float
+    station_id: str
+    fence: int
+    position_m: tuple[float, float, float]
+    velocity_m_s: tuple[float, float, float]
+    acceleration_m_s2: tuple[float, float, float]
+
+
+class EchoTracker:
+    """Which of our setpoints the vehicle holds, from its POSITION_TARGET_LOCAL_NED (85), as far as that can be told.
+
+    ``runs_on``: the vehicle moves the target on along its velocity between setpoints (ArduPilot), so that its position
+    proves nothing by itself; the acceleration it repeats must then be one of ours too. Otherwise (PX4) the
+    position is that of the setpoint. Setpoints too alike to be told apart give no answer.
+    """
+
+    POSITION_TOLERANCE_M = 0.25
+    ACCELERATION_TOLERANCE_M_S2 = 2e-4
+    TELLING_ACCELERATION_M_S2 = 0.02
+    RUN_ON_S = 0.5
+    LATELY_S = 1.5
+
+    def __init__(self, *, runs_on: bool, memory: int = 100) -> None:
+        self._runs_on = runs_on
+        self._sent: deque[Sent] = deque(maxlen=memory)
+
+    def note(self, sent: Sent) -> None:
+        """Remember a setpoint that went out."""
+        self._sent.append(sent)
+
+    def distance_m(self, target: Any) -> float:
+        """How far ``target`` is from the nearest setpoint sent lately, run-on allowed for; infinite without a place."""
+        position = (target.x, target.y, target.z)
+        if target.type_mask & 7 or not all(map(math.isfinite, position)):
+            return math.inf
+        nearest = math.inf
+        for sent in reversed(self._sent):
+            if sent.sent_s < self._sent[-1].sent_s - self.LATELY_S:
+                break
+            reach_m = self.RUN_ON_S * math.hypot(*sent.velocity_m_s) if self._runs_on else 0.0
+            nearest = min(nearest, math.dist(position, sent.position_m) - reach_m)
+        return max(0.0, nearest)
+
+    def held(self, target: Any) -> tuple[Sent, ...]:
+        """The setpoints of ours that ``target`` may be, oldest first; empty when it is none, or could be any."""
+        position = (target.x, target.y, target.z)
+        acceleration = (target.afx, target.afy, target.afz)
+        if self._runs_on:
+            if math.hypot(*acceleration) < self.TELLING_ACCELERATION_M_S2:
+                return ()
+            return tuple(
+                s
+                for s in self._sent
+                if math.dist(acceleration, s.acceleration_m_s2) <= self.ACCELERATION_TOLERANCE_M_S2
+                and math.dist(position, s.position_m)
+                <= self.POSITION_TOLERANCE_M + self.RUN_ON_S * math.hypot(*s.velocity_m_s)
+            )
+        return tuple(s for s in self._sent if math.dist(position, s.position_m) <= self.POSITION_TOLERANCE_M)

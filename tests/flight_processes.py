@@ -1,0 +1,93 @@
+"""A simulator process with real UDP links, for tests that fly on the wall clock."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gcs.flight import FlightEvent
+from gcs.plan import Plan
+from link.flight import FlightRequest
+from virtual_flight import plan_home
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def free_ports(count: int) -> list[int]:
+    """Free UDP ports of this machine."""
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    try:
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [int(one.getsockname()[1]) for one in sockets]
+    finally:
+        for one in sockets:
+            one.close()
+
+
+@dataclass
+class Simulator:
+    """A running simulator and the links to it by station."""
+
+    process: subprocess.Popen[bytes]
+    links: dict[str, str]
+
+    def request(self, plan: Plan, autopilot: str, speedup: float, **changes: Any) -> FlightRequest:
+        """A request for a flight of ``plan`` over its links."""
+        return FlightRequest(plan=plan.to_document(), autopilot=autopilot, links=self.links, speedup=speedup, **changes)
+
+
+@contextlib.contextmanager
+def simulator(plan: Plan, autopilot: str, speedup: float, *arguments: str) -> Iterator[Simulator]:
+    """``python -m sitl_fixtures`` under the plan's start, one UDP link a station; ended with the block."""
+    stations = list(dict.fromkeys(plan.station_ids))
+    ports = free_ports(len(stations))
+    home = ",".join(str(x) for x in plan_home(plan))
+    command = [sys.executable, "-m", "sitl_fixtures", "--autopilot", autopilot, "--home", home]
+    command += ["--speedup", str(speedup), *arguments]
+    for port in ports:
+        command += ["--listen", f"udpin:127.0.0.1:{port}"]
+    process = subprocess.Popen(command, cwd=ROOT)
+    try:
+        yield Simulator(process, {s: f"udpout:127.0.0.1:{p}" for s, p in zip(stations, ports, strict=True)})
+    finally:
+        process.terminate()
+        process.wait(20)
+
+
+class Events:
+    """Collects a flight's events; waits for one."""
+
+    def __init__(self) -> None:
+        self.all: list[FlightEvent] = []
+
+    def __call__(self, event: FlightEvent) -> None:
+        self.all.append(event)
+
+    def append(self, event: FlightEvent) -> None:
+        """As a journal."""
+        self.all.append(event)
+
+    def wait_for(self, condition: Callable[[FlightEvent], bool], timeout_s: float = 60.0) -> FlightEvent:
+        """The first event for which ``condition`` holds, seen so far or to come."""
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            for event in list(self.all):
+                if condition(event):
+                    return event
+            time.sleep(0.01)
+        raise AssertionError(f"no such event among {[(e.kind.value, dict(e.data)) for e in self.all][-8:]}")
+
+    def in_cruise(self, plan_s: float = 0.0, timeout_s: float = 60.0) -> FlightEvent:
+        """Wait until the flight is at a time of its plan."""
+        return self.wait_for(
+            lambda e: e.kind.value == "progress" and e.state.value == "cruise" and (e.data["plan_s"] or 0.0) >= plan_s,
+            timeout_s,
+        )

@@ -1,0 +1,174 @@
+"""Starting, attending, leaving and ending flights: the streamer outlives everybody but its flight."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from flight_plans import relay_plan
+from flight_processes import ROOT, Events, free_ports, simulator
+from gcs.flight import FlightEvent, FlightState, TransitionError
+from link.errors import FlightRequestError, SupervisorError
+from link.flight import FlightRequest
+from link.supervisor import attach, start_flight
+
+SPEEDUP = 4.0
+
+
+def idle_request(**changes: object) -> FlightRequest:
+    """A flight with nobody at the other end."""
+    plan = relay_plan(2)
+    urls = [f"udpout:127.0.0.1:{port}" for port in free_ports(2)]
+    return FlightRequest(
+        plan=plan.to_document(),
+        autopilot="px4",
+        links=dict(zip(plan.station_ids, urls, strict=True)),
+        **changes,  # type: ignore[arg-type]
+    )
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_no_vehicle_is_a_refused_flight_with_a_reason_and_no_process_left(tmp_path: Path) -> None:
+    journal = Events()
+    flight = start_flight(idle_request(connect_timeout_s=1.0), journal, run_dir=tmp_path / "run")
+    result = flight.wait(30.0)
+    assert (result.state, result.exit_code) == (FlightState.REFUSED, 4)
+    assert not alive(flight.pid)
+    written = [
+        FlightEvent.from_document(json.loads(line))
+        for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()
+    ]
+    assert written == journal.all
+    assert "no heartbeat of system 1" in next(e.data["reason"] for e in written if e.data.get("to") == "refused")
+    with pytest.raises(SupervisorError, match="no streamer runs in"):
+        attach(tmp_path / "run")
+    with pytest.raises(SupervisorError, match=r"cannot be reached|has ended"):
+        flight.command("hold")
+
+
+def test_words_are_answered_and_a_second_flight_on_the_same_links_is_refused(tmp_path: Path) -> None:
+    request = idle_request(connect_timeout_s=60.0)
+    flight = start_flight(request, run_dir=tmp_path / "a")
+    try:
+        assert flight.status()["state"] == "connecting"
+        with pytest.raises(TransitionError, match="'hold' needs a flight that is"):
+            flight.command("hold")
+        with pytest.raises(TransitionError, match=r"unknown word|is not a valid"):
+            flight.command("sing")
+        with pytest.raises(FlightRequestError, match="another flight on this machine uses this link"):
+            start_flight(request, run_dir=tmp_path / "b")
+        with pytest.raises(SupervisorError, match="has been flown from"):
+            start_flight(idle_request(), run_dir=tmp_path / "a")
+        flight.command("abort", by="test")
+        assert flight.wait(20.0).state is FlightState.REFUSED
+    finally:
+        flight.kill()
+    assert not alive(flight.pid)
+
+
+def test_a_streamer_that_cannot_start_says_why_and_leaves_no_process(tmp_path: Path) -> None:
+    (port,) = free_ports(1)
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", port))
+        plan = relay_plan(2)
+        links = dict.fromkeys(plan.station_ids, f"udpin:127.0.0.1:{port}")
+        request = FlightRequest(plan=plan.to_document(), autopilot="px4", links=links)
+        with pytest.raises(FlightRequestError, match="the port is taken"):
+            start_flight(request, run_dir=tmp_path / "run")
+
+
+def test_a_killed_flight_on_the_ground_is_a_fault_of_ours(tmp_path: Path) -> None:
+    flight = start_flight(idle_request(connect_timeout_s=60.0), run_dir=tmp_path / "run")
+    flight.status()
+    flight.kill()
+    result = flight.wait(10.0)
+    assert (result.state, result.exit_code) == (FlightState.LOST, 1)
+    with pytest.raises(SupervisorError):
+        flight.status()
+
+
+@pytest.mark.slow
+def test_one_leaves_and_another_takes_over_the_attending(tmp_path: Path) -> None:
+    """A service that restarts: nothing is missed, and the flight does not notice."""
+    plan = relay_plan(2)
+    with simulator(plan, "px4", SPEEDUP) as vehicle:
+        first, second = Events(), Events()
+        flight = start_flight(vehicle.request(plan, "px4", SPEEDUP), on_event=first, run_dir=tmp_path / "run")
+        first.in_cruise(3.0)
+        flight.detach()
+        seen = first.all[-1].sequence
+        time.sleep(1.0)
+        again = attach(tmp_path / "run", on_event=second, after=seen)
+        again.command("hold", by="the new one")
+        second.wait_for(lambda e: e.data.get("to") == "holding")
+        again.command("resume")
+        result = again.wait(60.0)
+    assert (result.state, result.exit_code) == (FlightState.COMPLETED, 0)
+    sequences = [e.sequence for e in first.all + second.all]
+    assert sequences == list(range(1, len(sequences) + 1))
+    assert "nobody attends the flight" in [e.data.get("what") for e in second.all]
+    assert not alive(flight.pid)
+
+
+PARENT = """
+import json, sys, time
+from pathlib import Path
+from link.flight import FlightRequest
+from link.supervisor import start_flight
+flight = start_flight(FlightRequest.from_document(json.load(open(sys.argv[1]))), run_dir=Path(sys.argv[2]))
+print(flight.pid, flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_a_killed_parent_does_not_disturb_the_flight(autopilot: str, tmp_path: Path) -> None:
+    plan = relay_plan(3)
+    run = tmp_path / "run"
+    with simulator(plan, autopilot, SPEEDUP) as vehicle:
+        request = vehicle.request(plan, autopilot, SPEEDUP, log_path=str(tmp_path / "flight.tlog"))
+        (tmp_path / "request.json").write_text(json.dumps(request.to_document()))
+        parent = subprocess.Popen(
+            [sys.executable, "-c", PARENT, str(tmp_path / "request.json"), str(run)],
+            stdout=subprocess.PIPE,
+            cwd=ROOT,
+            start_new_session=True,
+        )
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline and '"cruise"' not in (run / "events.jsonl").read_text():
+            time.sleep(0.05)
+        os.kill(parent.pid, signal.SIGKILL)
+        parent.wait()
+        parent.stdout.close()
+        while time.monotonic() < deadline + 60.0 and alive(pid):
+            time.sleep(0.05)
+    assert not alive(pid)
+    result = json.loads((run / "result.json").read_text())
+    assert (result["state"], result["exit_code"]) == ("completed", 0)
+    events = [json.loads(line) for line in (run / "events.jsonl").read_text().splitlines()]
+    killed = next(e for e in events if e["data"].get("what") == "nobody attends the flight")
+    assert killed["state"] in ("takeoff", "transit", "cruise")
+    from link.report import report_flight
+
+    report = report_flight(tmp_path / "flight.tlog", plan)
+    assert report.reached
+    assert [h.index for h in report.handovers] == [1, 2]
