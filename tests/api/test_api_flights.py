@@ -1,0 +1,264 @@
+"""Flights through the service: a server process, a streamer process and a simulated vehicle on real UDP."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+from api.cli import simulator
+from api.cli.demo import QUICK_MISSION
+from api.cli.processes import Children
+from gcs.plan import Plan
+from link.errors import SupervisorError
+from link.supervisor import attach
+from tests.api.conftest import Server
+from tests.api.test_api_rest_missions import assert_problem, wait_for_planning
+
+SPEEDUP = 10.0
+
+
+@pytest.fixture(scope="module")
+def planned(client: httpx.Client) -> dict[str, Any]:
+    mission = wait_for_planning(client, client.post("/v1/missions", json=QUICK_MISSION).json()["id"])
+    assert mission["status"] == "planned"
+    return mission
+
+
+@pytest.fixture
+def vehicle(client: httpx.Client, planned: dict[str, Any]) -> Iterator[str]:
+    """A simulated vehicle, registered with a link for each station."""
+    plan = Plan.from_document(client.get(f"/v1/missions/{planned['id']}/plan").json())
+    with Children() as children:
+        _, urls = simulator.start(children, plan, autopilot="ardupilot", speedup=SPEEDUP)
+        for station, url in urls.items():
+            assert client.put(f"/v1/links/{station}", json={"url": url}).status_code in (200, 201)
+        client.put("/v1/vehicles/drone", json={"autopilot": "ardupilot", "links": {s: s for s in urls}})
+        yield "drone"
+
+
+def request_for(planned: dict[str, Any], **more: Any) -> dict[str, Any]:
+    plan = {"mission_id": planned["id"], "plan_sha256": planned["plan_sha256"]}
+    return {**plan, "vehicle_id": "drone", "speedup": SPEEDUP, **more}
+
+
+def wait_for(client: httpx.Client, flight_id: str, *phases: str, timeout_s: float = 90.0) -> dict[str, Any]:
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        flight: dict[str, Any] = client.get(f"/v1/flights/{flight_id}").json()
+        # The figures follow the end by a moment.
+        ended = flight["ended_utc"] is not None
+        if flight["phase"] in phases and (not ended or flight["result"] or flight["preflight"]["id"] is None):
+            return flight
+        assert not ended or flight["phase"] in phases, flight
+        time.sleep(0.05)
+    raise AssertionError(f"{flight['phase']} after {timeout_s} s, not {phases}")
+
+
+@contextlib.contextmanager
+def flight_of(client: httpx.Client, planned: dict[str, Any], **more: Any) -> Iterator[dict[str, Any]]:
+    """A flight, given up at the end whatever happened."""
+    answer = client.post("/v1/flights", json=request_for(planned, **more))
+    assert answer.status_code == 201, answer.text
+    flight = answer.json()
+    try:
+        yield flight
+    finally:
+        client.post(f"/v1/flights/{flight['id']}/abort")
+        # The links go with the simulator; a flight in the air would wait long for it to come back.
+        with contextlib.suppress(AssertionError):
+            wait_for(client, flight["id"], "refused", "completed", "contingency", "lost", timeout_s=5)
+
+
+def launch(client: httpx.Client, flight: dict[str, Any]) -> httpx.Response:
+    body = {"plan_sha256": flight["plan_sha256"], "preflight_id": flight["preflight"]["id"], "by": "test"}
+    return client.post(f"/v1/flights/{flight['id']}/launch", json=body)
+
+
+@pytest.mark.slow
+def test_a_flight_from_preflight_to_landing(client: httpx.Client, planned: dict[str, Any], vehicle: str) -> None:
+    """With operators' words asked for, the handover waits for the next station's; a refusal may be taken back."""
+    with flight_of(client, planned, operator_words=True) as flight:
+        assert flight["state"] == "preflight"
+        address = f"/v1/flights/{flight['id']}"
+        ready = wait_for(client, flight["id"], "ready")
+        assert ready["state"] == "preflight"
+        assert ready["preflight"]["passed"] is True
+        assert ready["preflight"]["age_s"] < 60
+        assert {check["level"] for check in ready["preflight"]["checks"]} <= {"pass", "warning"}
+        assert_problem(client.delete(f"/v1/missions/{planned['id']}"), 409)  # it is being flown
+
+        wrong = {"plan_sha256": "0" * 64, "preflight_id": ready["preflight"]["id"]}
+        assert "plan" in assert_problem(client.post(f"{address}/launch", json=wrong), 409)["detail"]
+        stale = {"plan_sha256": planned["plan_sha256"], "preflight_id": 99}
+        assert "preflight" in assert_problem(client.post(f"{address}/launch", json=stale), 409)["detail"]
+        assert client.get(address).json()["phase"] == "ready"
+
+        with connect(f"ws{str(client.base_url)[4:]}/v1/flights/{flight['id']}/telemetry") as socket:
+            assert launch(client, ready).status_code == 200
+            wait_for(client, flight["id"], "cruise")
+            assert_problem(client.post(f"{address}/handovers/7/ready"), 409)
+            refusal = {"by": "east", "reason": "no radio"}
+            assert client.post(f"{address}/handovers/1/refuse", json=refusal).status_code == 200
+            assert client.get(address).json()["handover_states"]["1"] == "refused"
+            assert client.post(f"{address}/handovers/1/accept", json={"by": "east"}).status_code == 200
+            told = [json.loads(message) for message in socket]  # until the service closes it, at the end
+        done = wait_for(client, flight["id"], "completed")
+
+    stations = [state["station"] for state in told if state["phase"] == "cruise"]
+    assert list(dict.fromkeys(stations)) == ["west", "east"]
+    waits = [state["next_handover"]["in_s"] for state in told if state["next_handover"]]
+    assert waits == sorted(waits, reverse=True)
+    assert told[-1]["outcome"] == "completed"
+    assert done["result"]["handovers"] == 1
+    assert done["handover_states"] == {"1": "released"}
+    assert done["ended_utc"] is not None
+    events = client.get(f"{address}/events", params={"limit": 1000}).json()["items"]
+    numbers = [event["sequence"] for event in events]
+    assert numbers == sorted(set(numbers))
+    words = [(e["data"]["word"], e["data"]["by"]) for e in events if e["kind"] == "word"]
+    assert words == [("launch", "test"), ("refuse", "east"), ("accept", "east")]
+    assert_problem(client.post(f"{address}/hold"), 409)
+    assert done["id"] in [
+        f["id"] for f in client.get("/v1/flights", params={"mission_id": planned["id"]}).json()["items"]
+    ]
+
+
+@pytest.mark.slow
+def test_hold_shifts_the_schedule_and_abort_ends_in_a_contingency(
+    client: httpx.Client, planned: dict[str, Any], vehicle: str
+) -> None:
+    with flight_of(client, planned) as flight:
+        address = f"/v1/flights/{flight['id']}"
+        assert_problem(client.post(f"{address}/resume"), 409)  # there is nothing to resume
+        assert launch(client, wait_for(client, flight["id"], "ready")).status_code == 200
+        wait_for(client, flight["id"], "cruise")
+        assert client.post(f"{address}/hold", json={"by": "me", "reason": "birds"}).status_code == 200
+        wait_for(client, flight["id"], "holding")
+        time.sleep(1.0)  # ten seconds of the vehicle's
+        assert client.post(f"{address}/resume").status_code == 200
+        flown = wait_for(client, flight["id"], "cruise")
+        until = time.monotonic() + 20
+        while flown["live"]["shift_s"] < 5.0 and time.monotonic() < until:
+            flown = client.get(address).json()
+            time.sleep(0.05)
+        assert flown["live"]["shift_s"] > 5.0
+        assert client.post(f"{address}/abort").status_code == 200
+        wait_for(client, flight["id"], "contingency", timeout_s=120)
+        words = client.get(f"{address}/events", params={"limit": 1000}).json()["items"]
+        assert [e["data"]["word"] for e in words if e["kind"] == "word"] == ["launch", "hold", "resume", "abort"]
+
+
+@pytest.mark.slow
+def test_a_flight_outlives_the_service_which_finds_it_again(tmp_path: Path) -> None:
+    server = Server(tmp_path / "d")
+    with httpx.Client(base_url=server.address, timeout=60) as client, Children() as children:
+        mission = wait_for_planning(client, client.post("/v1/missions", json=QUICK_MISSION).json()["id"])
+        plan = Plan.from_document(client.get(f"/v1/missions/{mission['id']}/plan").json())
+        _, urls = simulator.start(children, plan, autopilot="ardupilot", speedup=SPEEDUP)
+        for station, url in urls.items():
+            client.put(f"/v1/links/{station}", json={"url": url})
+        client.put("/v1/vehicles/drone", json={"autopilot": "ardupilot", "links": {s: s for s in urls}})
+        flight = client.post("/v1/flights", json=request_for(mission)).json()
+        launch(client, wait_for(client, flight["id"], "ready"))
+        wait_for(client, flight["id"], "cruise")
+        server.process.kill()
+        server.stop()
+        again = Server(tmp_path / "d")
+        try:
+            client.base_url = httpx.URL(again.address)
+            done = wait_for(client, flight["id"], "completed")
+            assert done["result"]["handovers"] == 1
+            events = client.get(f"/v1/flights/{flight['id']}/events", params={"limit": 1000}).json()["items"]
+            states = [e["data"]["to"] for e in events if e["kind"] == "state"]
+            assert states[-4:] == ["cruise", "arrived", "landing", "completed"]  # nothing of it is missing
+        finally:
+            again.stop()
+            for folder in (tmp_path / "d" / "flights").glob("*"):
+                with contextlib.suppress(SupervisorError):
+                    attach(folder).kill()
+
+
+def test_a_flight_nobody_answers_can_be_given_up(client: httpx.Client, planned: dict[str, Any]) -> None:
+    for name, port in (("west", 9), ("east", 9)):
+        client.put(f"/v1/links/{name}", json={"url": f"udpout:127.0.0.1:{port}"})
+    client.put("/v1/vehicles/mute", json={"autopilot": "px4", "links": {"*": "west"}})
+    with flight_of(client, planned, vehicle_id="mute") as flight:
+        again = client.post("/v1/flights", json=request_for(planned, vehicle_id="mute"))
+        assert "has not ended" in assert_problem(again, 409)["detail"]
+        assert_problem(launch(client, {**flight, "preflight": {"id": 0}}), 409)
+        assert client.post(f"/v1/flights/{flight['id']}/abort").status_code == 200
+        ended = wait_for(client, flight["id"], "refused")
+        assert ended["ended_utc"] is not None
+        assert ended["preflight"]["passed"] is False
+    active = client.get("/v1/flights", params={"active": True}).json()["items"]
+    assert flight["id"] not in [f["id"] for f in active]
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        ({"plan_sha256": "0" * 64}, 409),
+        ({"plan_sha256": "short"}, 422),
+        ({"vehicle_id": "nobody"}, 404),
+        ({"mission_id": "nothing"}, 404),
+        ({"version": 9}, 404),
+        ({"rate_hz": 1000}, 422),
+        ({"speedup": 0}, 422),
+        ({"wings": 2}, 422),
+    ],
+)
+def test_a_flight_that_must_not_be_is_refused_and_not_kept(
+    client: httpx.Client, planned: dict[str, Any], change: dict[str, Any], status: int
+) -> None:
+    client.put("/v1/links/far", json={"url": "udpout:127.0.0.1:9"})
+    client.put("/v1/vehicles/drone", json={"autopilot": "px4", "links": {"*": "far"}})
+    before = client.get("/v1/flights", params={"limit": 200}).json()["items"]
+    assert_problem(client.post("/v1/flights", json=request_for(planned, **change)), status)
+    assert client.get("/v1/flights", params={"limit": 200}).json()["items"] == before
+
+
+def test_a_vehicle_without_a_link_to_a_station_is_told(client: httpx.Client, planned: dict[str, Any]) -> None:
+    client.put("/v1/links/far", json={"url": "udpout:127.0.0.1:9"})
+    client.put("/v1/vehicles/halfway", json={"autopilot": "px4", "links": {"west": "far"}})
+    problem = assert_problem(client.post("/v1/flights", json=request_for(planned, vehicle_id="halfway")), 422)
+    assert any("east" in error["where"] for error in problem["errors"])
+
+
+def test_a_link_the_streamer_refuses_ends_the_flight_and_frees_the_vehicle(
+    client: httpx.Client, planned: dict[str, Any]
+) -> None:
+    client.put("/v1/links/broken", json={"url": "serial:/dev/no-such-device:57600"})
+    client.put("/v1/vehicles/broken", json={"autopilot": "px4", "links": {"*": "broken"}})
+    for _ in range(2):  # the second time as well: the vehicle is not left busy
+        body = request_for(planned, vehicle_id="broken", speedup=1.0)
+        problem = assert_problem(client.post("/v1/flights", json=body), 422)
+        assert "no-such-device" in str(problem["errors"])
+
+
+@pytest.mark.parametrize("word", ["hold", "resume", "abort", "land", "handovers/1/ready"])
+def test_words_to_an_unknown_flight(client: httpx.Client, word: str) -> None:
+    assert_problem(client.post(f"/v1/flights/none/{word}"), 404)
+    assert_problem(client.get("/v1/flights/none"), 404)
+    assert_problem(client.get("/v1/flights/none/events"), 404)
+
+
+def test_telemetry_of_an_unknown_flight_is_closed_with_a_reason(client: httpx.Client) -> None:
+    address = f"ws{str(client.base_url)[4:]}/v1/flights/none/telemetry"
+    with connect(address) as socket, pytest.raises(ConnectionClosed, match="4404"):
+        socket.recv(5)
+
+
+def test_telemetry_to_a_foreign_page_is_refused(client: httpx.Client) -> None:
+    address = f"ws{str(client.base_url)[4:]}/v1/flights/none/telemetry"
+    with pytest.raises(InvalidStatus, match="403"), connect(address, origin=Origin("http://evil.example")):
+        pass
