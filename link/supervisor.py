@@ -276,7 +276,7 @@ class RunningFlight:
                 self._process.kill()
                 return self._process.wait()
         deadline = time.monotonic() + REPLY_TIMEOUT_S
-        while time.monotonic() < deadline and _alive(self.pid):
+        while time.monotonic() < deadline and _is_streamer(self.pid, self.run_dir):
             time.sleep(0.02)
         return None
 
@@ -288,13 +288,3 @@ def _is_streamer(pid: int, run_dir: Path) -> bool:
     except OSError:
         return False
     return str(run_dir).encode() in command
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
