@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parent.parent
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 MODULES: dict[str, tuple[str, ...]] = {
     "link/gate.py": ("tests/link/test_link_gate_edges.py", "tests/link/test_link_gate.py"),
-    "link/handover.py": ("tests/link/test_link_handover.py", "tests/link/test_link_handover_edges.py"),
+    "link/handover.py": ("tests/link/test_link_handover_edges.py", "tests/link/test_link_handover.py"),
     "link/signing.py": ("tests/link/test_link_signing.py",),
     "link/signing_store.py": ("tests/link/test_link_signing.py",),
     "link/clock.py": ("tests/link/test_link_clock.py", "tests/link/test_link_clock_edges.py"),
