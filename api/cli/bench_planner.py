@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,6 +34,36 @@ def bench_planner(
             "--as-given", help="Keep each mission's own options instead of the paper's (no overlap, no margin)."
         ),
     ] = False,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="The seed paper's Tables 3 and 4 instead; an hour for all 30.")
+    ] = False,
+    time_limit: Annotated[
+        float | None,
+        typer.Option("--time-limit", metavar="S", help="With --paper: seconds for EM on a mission [60]."),
+    ] = None,
+    rival_limit: Annotated[
+        float | None,
+        typer.Option("--rival-limit", metavar="S", help="With --paper: seconds for each method of Table 4 [3]."),
+    ] = None,
+    results: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="With --paper: keep every measurement there, and go on from what is there."),
+    ] = None,
+    redo: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="WHAT",
+            help="With --results: measure [bold]ours[/bold] (with DC), [bold]enumeration[/bold] or "
+            "[bold]rivals[/bold] anew.",
+        ),
+    ] = None,
+    figures: Annotated[
+        str | None, typer.Option(metavar="DIR", help="With --paper: draw figures like the paper's 9 to 14 there.")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only missions of this name, e.g. [bold]M30_01[/bold]; may be repeated."),
+    ] = None,
 ) -> None:
     """Plan missions with this planner and with the paper's method (through plain cvxpy), one after the other.
 
@@ -46,35 +77,103 @@ def bench_planner(
             "the reference is not installed",
             {"what": "the paper's method runs through cvxpy", "fix": "pip install 'skyrelay[bench]'"},
         )
+    _refuse_without(
+        "--paper",
+        paper,
+        {
+            "--time-limit": time_limit,
+            "--rival-limit": rival_limit,
+            "--results": results,
+            "--redo": redo,
+            "--figures": figures,
+        },
+    )
     cases = bench_of.drawn(random, seed) if random else bench_of.fixed(_documents(missions), quick=quick)
+    cases = _only(cases, only or [])
     bench_of.warm_up()
-    results: list[Result] = []
+    if paper:
+        from api.bench.paper import Settings
+        from api.cli.bench_paper import REDO, run_paper
+
+        for what in redo or []:
+            if what not in REDO:
+                raise BadInputError(
+                    "an option has a value it cannot have",
+                    {"where": "--redo", "value": what, "allowed": ", ".join(REDO)},
+                )
+        settings = Settings(_seconds("--time-limit", time_limit, 60.0), _seconds("--rival-limit", rival_limit, 3.0))
+        run_paper(
+            cases,
+            settings,
+            results_file=results,
+            figures_directory=figures,
+            redo=redo or [],
+            as_json=as_json,
+            guarded=lambda work: _guarded(work, "a mission"),
+        )
+        return
+    measured: list[Result] = []
     with console.Progress(every_s=0.0) as progress:
         for number, case in enumerate(cases, start=1):
             progress.show(f"{number} of {len(cases)}: {case.name}", now=True)
-            results.append(_measure(case, as_given))
-    figures = bench_of.figures(results)
+            measured.append(_measure(case, as_given))
+    document = bench_of.figures(measured)
     if as_json:
-        typer.echo(json.dumps(figures, indent=1, allow_nan=False))
+        typer.echo(json.dumps(document, indent=1, allow_nan=False))
     else:
-        _print(figures)
+        _print(document)
+
+
+def _refuse_without(what: str, given: bool, options: dict[str, object]) -> None:
+    for name, value in options.items():
+        if value is not None and not given:
+            raise BadInputError(f"{name} goes with {what}", {"where": name, "fix": f"add {what}, or leave it out"})
+
+
+def _seconds(name: str, value: float | None, default: float) -> float:
+    if value is None:
+        return default
+    if not 0.0 < value <= 86_400.0:  # NaN fails too
+        raise BadInputError(
+            "an option has a value it cannot have",
+            {"where": name, "value": f"{value:g}", "allowed": "more than 0, at most 86400 s"},
+        )
+    return value
+
+
+def _only(cases: list[Case], names: list[str]) -> list[Case]:
+    known = {case.name for case in cases}
+    for name in names:
+        if name not in known:
+            raise BadInputError(
+                "there is no such mission",
+                {"where": "--only", "value": name, "allowed": ", ".join(sorted(known))},
+            )
+    return [case for case in cases if not names or case.name in names]
 
 
 def _measure(case: Case, as_given: bool) -> Result:
     from api.bench.planner import measure
+
+    found: Result = _guarded(lambda: measure(case, paper_options=not as_given), f"the mission {case.name}")
+    return found
+
+
+def _guarded(work: Callable[[], Any], name: str) -> Any:
+    """``work()``, what it raises turned into the command line's blocks."""
     from gcs.errors import GcsError, MissionError, MissionInfeasible
     from planner.errors import PlannerError
 
     try:
-        return measure(case, paper_options=not as_given)
+        return work()
     except MissionError as error:
-        raise BadInputError(f"the mission {case.name} has a fault", *inputs.paragraphs(error)) from None
+        raise BadInputError(f"{name} has a fault", *inputs.paragraphs(error)) from None
     except MissionInfeasible as error:
         raise inputs.infeasible(error) from None
     except PlannerError as error:
-        raise BadInputError(f"the paper's method cannot plan {case.name}", {"what": str(error)}) from None
+        raise BadInputError(f"the paper's method cannot plan {name}", {"what": str(error)}) from None
     except GcsError as error:
-        raise FaultError(f"the mission {case.name} could not be planned", {"what": str(error)}) from None
+        raise FaultError(f"{name} could not be planned", {"what": str(error)}) from None
 
 
 def _documents(directory: str | None) -> list[tuple[str, Any]]:
