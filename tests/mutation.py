@@ -35,10 +35,10 @@ EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 MODULES: dict[str, tuple[str, ...]] = {
     "link/gate.py": ("tests/link/test_link_gate_edges.py", "tests/link/test_link_gate.py"),
     "link/handover.py": ("tests/link/test_link_handover_edges.py", "tests/link/test_link_handover.py"),
-    "link/signing.py": ("tests/link/test_link_signing.py",),
+    "link/signing.py": ("tests/link/test_link_signing_edges.py", "tests/link/test_link_signing.py"),
     "link/signing_store.py": ("tests/link/test_link_signing.py",),
-    "link/clock.py": ("tests/link/test_link_clock.py", "tests/link/test_link_clock_edges.py"),
-    "link/streamer.py": ("tests/link/test_link_streamer.py", "tests/link/test_link_streamer_loop.py"),
+    "link/clock.py": ("tests/link/test_link_clock_edges.py", "tests/link/test_link_clock.py"),
+    "link/streamer.py": ("tests/link/test_link_streamer_loop.py", "tests/link/test_link_streamer.py"),
 }
 """What is mutated, and the fast tests that must notice."""
 CPU_LIMIT_S, WALL_LIMIT_S = 20, 120.0
@@ -296,6 +296,8 @@ def examine(name: str, *, every: int = 1, only: str = "") -> tuple[int, int, int
             same += 1
             continue
         tried += 1
+        if not tried % 25:
+            print(f"  ... {tried}, line {mutant.line}", file=sys.stderr, flush=True)
         result = outcome(module, path, mutant.code, tests)
         if result == "fault":
             raise SystemExit(f"{name}: pytest could not run for {mutant.name}")
