@@ -234,11 +234,11 @@ def test_control_moves_at_once_and_the_new_station_asks_for_an_answer_every_fift
 
 
 def test_the_way_stays_open_for_half_an_attempt() -> None:
-    one = One(attempt_s=1.0)
+    one = One(attempt_s=2.0)
     one.step()
-    one.c.now_s = 64.5
+    one.c.now_s = 65.0
     assert one.handover.open
-    one.c.now_s = 64.5 + 1e-9
+    one.c.now_s = 65.0 + 1e-9
     assert not one.handover.open
 
 
