@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from api.bench.planner import Case
+from api.bench.cases import Case
 
 
 def matplotlib_available() -> bool:

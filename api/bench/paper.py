@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from api.bench.planner import PAPER_OPTIONS, Case
+from api.bench.cases import PAPER_OPTIONS, Case
 from api.bench.results import Results, fingerprint
 from gcs.mission import Mission
 from gcs.planning import lay_out, plan_mission, product_version
