@@ -42,6 +42,11 @@ class Results:
         record = self._found.get(_key(unit, mission, settings))
         return None if record is None else record["measured"]
 
+    def of(self, unit: str, mission: str) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+        """(settings, measured) of that unit on that mission, under whatever settings."""
+        mine = (r for r in self._found.values() if (r["unit"], r["mission"]) == (unit, mission))
+        return [(record["settings"], record["measured"]) for record in mine]
+
     def add(
         self,
         unit: str,
