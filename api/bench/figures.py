@@ -90,9 +90,10 @@ def enumerated(rows: Sequence[dict[str, Any]]) -> Any:
             cpu = [_cpu_s(row, name) for row in mine]
             lower.semilogy(at, cpu, marker=mark, color=colour, linewidth=0.8)
         upper.scatter(
-            at, [row["plans"]["lower_bound_s"] for row in mine], s=60, marker="_", color="tab:red", label="lower bound"
+            at, [row["plans"]["lower_bound_s"] for row in mine], s=150, marker="_", color="tab:red", label="lower bound"
         )
         upper.set_title(f"M = {count}")
+        drawing.plain_logarithmic(lower.yaxis)
         for axes in (upper, lower):
             axes.set_xticks(at, [row["name"].rpartition("_")[2] for row in mine])
             axes.grid(axis="y", color="0.9")
@@ -205,7 +206,9 @@ def convergence(rows: Sequence[dict[str, Any]], each: int = 3) -> Any:
                 )
             ours, label = row["plans"]["ours"], drawing.LABELS["ours"]
             axes.plot([ours["cpu_s"]], [ours["mission_time_s"]], "D", color=drawing.COLOURS["ours"], label=label)
-            axes.axhline(row["plans"]["lower_bound_s"], color="tab:red", linewidth=0.8, label="lower bound")
+            axes.axhline(
+                row["plans"]["lower_bound_s"], color="black", linestyle="--", linewidth=0.8, label="lower bound"
+            )
             axes.set_yscale("log")
             drawing.plain_logarithmic(axes.yaxis)
             axes.set_title(row["name"], fontsize=11)
