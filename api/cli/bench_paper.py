@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from api.cli import console
+from api.cli import console, files
 from api.cli.bench_tables import columns
 from api.cli.errors import BadInputError, FaultError
 
@@ -35,6 +35,7 @@ def run_paper(
 ) -> None:
     """Measure what is missing, print the tables, draw the figures. ``guarded`` turns planners' errors into blocks."""
     from api.bench import paper
+    from api.bench.paper_page import page
     from api.bench.results import Results, ResultsError
 
     if not paper.nlopt_available():
@@ -59,16 +60,19 @@ def run_paper(
 
             rows = guarded(lambda: paper.run(cases, settings, results, again=again, tell=tell))
             drawn = [] if folder is None else _draw(cases, rows, folder, tell)
+            machines = results.machines()
     except ResultsError as error:
         raise BadInputError("the results file cannot be used", {"where": "--results", "what": str(error)}) from None
     document = {
-        "machine": paper.machine(),
+        "machines": machines,
         "settings": {"time_limit_s": settings.time_limit_s, "rival_limit_s": settings.rival_limit_s},
         "table_3": paper.table_3(rows),
         "table_4": paper.table_4(rows),
         "summary": paper.summary(rows),
         "figures": drawn,
     }
+    if folder is not None:
+        files.write_text(page(document), str(folder / "tables.md"))
     if as_json:
         typer.echo(json.dumps(document, indent=1, allow_nan=False))
     else:

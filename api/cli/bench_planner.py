@@ -127,7 +127,11 @@ def bench_planner(
     ] = None,
     figures: Annotated[
         str | None,
-        typer.Option(metavar="DIR", rich_help_panel=_PAPER, help="Draw figures like the paper's 9 to 14 there."),
+        typer.Option(
+            metavar="DIR",
+            rich_help_panel=_PAPER,
+            help="Draw figures like the paper's 9 to 14 there, and write the tables as a page.",
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:

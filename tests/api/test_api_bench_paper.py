@@ -126,7 +126,10 @@ def test_the_figures_are_drawn(cli: Cli, folder: Path, tmp_path: Path) -> None:
     places = tmp_path / "new" / "figures"
     outcome = cli("bench", "planner", "--paper", "--missions", folder, "--figures", places, *LIMITS)
     assert outcome.code == 0, outcome.err
-    drawn = sorted(path.name for path in places.iterdir())
+    page = (places / "tables.md").read_text()
+    assert "| two | 2 | 36 |" in page
+    assert page.count("| three |") == 2
+    drawn = sorted(path.name for path in places.glob("*.png"))
     assert [name[:2] for name in drawn] == ["09", "10", "11", "12", "13", "14"]
     for name in drawn:
         assert name in outcome.out
