@@ -21,8 +21,9 @@ from planner.problem import Problem
 from planner.solution import Solution
 from planner.trajectory import Trajectory
 
-# Plans tried with lower and lower speed, where a flight that starts moving is to arrive later than it could.
-SLOWER_TRIES = 4
+# Plans tried where a flight that starts moving is to arrive later than it could, and how near is near enough.
+SLOWER_TRIES = 5
+SOON_S = 2.0
 # Steps of the solver in search of a start state that can be taken up; one that can takes twenty or thirty.
 START_ITERATIONS = 60
 # A margin is found to this many halvings of the one asked for.
@@ -236,8 +237,8 @@ def _start_refused(mission: Mission, message: str, limit: object) -> MissionInfe
 def _arriving(laid: LaidOut, run: Run, solution: Solution, arrival_s: float) -> Solution:
     """Slowed to arrive when asked. From rest: the same path, all limits kept with more to spare.
 
-    A start that moves fixes the speed, and with it the time scale: such a flight is planned again with the speed
-    limit that gets it there just in time, and waits over the destination for what is left.
+    A start that moves fixes the speed, and with it the time scale: such a flight is planned again to save energy, by
+    as much as gets it there just in time, and waits over the destination for what is left.
     """
     trajectory = solution.trajectory
     problem = laid.problem
@@ -257,26 +258,23 @@ def _arriving(laid: LaidOut, run: Run, solution: Solution, arrival_s: float) -> 
 
 
 def _slower(problem: Problem, run: Run, fastest: Trajectory, arrival_s: float) -> Trajectory:
-    """The slowest plan found that is not later than ``arrival_s``, by lowering the speed limit."""
-    limits, best = problem.limits, fastest
-    least = 1.02 * max(float(np.linalg.norm(problem.start_velocity_m_s)), 1e-3 * limits.max_speed_m_s)
-    in_time, too_slow = limits.max_speed_m_s, least
+    """The slowest plan found that is not later than ``arrival_s``: one that saves energy cruises slower.
+
+    At v_max (2 w)^(-1/3) for a weight w above 1/2 (`planner.energy`), so the weight follows from the speed wanted.
+    """
+    best, top = fastest, problem.limits.max_speed_m_s
+    length, lost_s = fastest.path_length_m(), 0.0
     for _ in range(SLOWER_TRIES):
-        if arrival_s - best.duration_s < 0.5 or in_time <= least:
+        if arrival_s - best.duration_s < SOON_S:
             break
-        # Time is what is lost at ends and handovers, and the way over the speed.
-        length = best.path_length_m()
-        lost_s = max(best.duration_s - length / in_time, 0.0)
-        speed = max(
-            1.0005 * length / (arrival_s - lost_s), too_slow if too_slow == least else 0.5 * (too_slow + in_time)
-        )
+        speed = min(length / max(arrival_s - lost_s - 0.5 * SOON_S, 1e-3), top)
         try:
-            slower = replace(problem, limits=replace(limits, max_speed_m_s=min(speed, in_time), max_duration_s=None))
-            trial = run(slower, 0.0).trajectory
+            trial = run(_unhurried(problem), 0.5 * (top / speed) ** 3).trajectory
         except (InfeasibleError, SolverError):
             break
-        if trial.duration_s > arrival_s:
-            too_slow = speed
-        else:
-            in_time, best = min(speed, in_time), max(best, trial, key=lambda t: t.duration_s)
+        # What is lost at ends and handovers; the rest is the way over the speed.
+        length = trial.path_length_m()
+        lost_s = trial.duration_s - length / speed
+        if best.duration_s < trial.duration_s <= arrival_s:
+            best = trial
     return best
