@@ -144,6 +144,35 @@ def _only_root(coefficients: list[float], tolerance: float) -> float:
     return 0.5 * (low + high)
 
 
+def only_roots(coefficients: Array, *, tolerance: float = 1e-12) -> Array:
+    """``(C,)``: the roots in [0, 1] of polynomials ``(C, n + 1)`` whose coefficients change sign exactly once each.
+
+    Newton's method for all of them together, inside brackets, bisected in every fourth step.
+    """
+    falling = coefficients[:, 0] > 0.0
+    points = np.where(falling[:, None], -coefficients, coefficients).T
+    degree = len(points) - 1
+    low, high = np.zeros(points.shape[1]), np.ones(points.shape[1])
+    u, settled = np.full(points.shape[1], 0.5), np.zeros(points.shape[1], dtype=bool)
+    for step in range(4 * 48):
+        level = points
+        while len(level) > 2:
+            level = level[:-1] + u * (level[1:] - level[:-1])
+        slope = level[1] - level[0]
+        value = level[0] + u * slope
+        above = value > 0.0
+        low, high = np.where(above, low, u), np.where(above, u, high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = u - value / (degree * slope)
+        good = (newton >= low) & (newton <= high) & (step % 4 != 3)
+        moved = np.where(good, newton, 0.5 * (low + high))
+        settled |= np.where(good, np.abs(moved - u), high - low) <= tolerance
+        if settled.all():
+            break
+        u = np.where(settled, u, moved)
+    return u
+
+
 def _last_nonzero(points: Array) -> float:
     values = points[:, 0]
     nonzero = values[values != 0]
