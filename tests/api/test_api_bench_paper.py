@@ -220,6 +220,12 @@ def test_ranks_and_gaps_are_hand_worked() -> None:
     assert paper.table_3([row])[0]["sequences"] == {"em": 3, "em_pruned": 2, "dc": 1}
 
 
+def test_convergence_keeps_what_gains_and_the_end() -> None:
+    points = [[0.0, 9.0], [0.1, 5.0], [0.2, 4.999], [0.3, 4.98], [0.4, 4.98], [0.5, 4.98]]
+    assert paper.thinned(points) == [[0.0, 9.0], [0.1, 5.0], [0.3, 4.98], [0.5, 4.98]]
+    assert paper.thinned(points[:1]) == points[:1]
+
+
 def test_a_case_is_measured_once_whatever_its_file_is_called() -> None:
     """Two files with the same mission: the second one's measurements are the first one's."""
     told: list[str] = []
