@@ -36,6 +36,7 @@ def run_paper(
     """Measure what is missing, print the tables, draw the figures. ``guarded`` turns planners' errors into blocks."""
     from api.bench import paper
     from api.bench.paper_page import page
+    from api.bench.planner import warm_up
     from api.bench.results import Results, ResultsError
 
     if not paper.nlopt_available():
@@ -48,6 +49,8 @@ def run_paper(
     folder = None if figures_directory is None else _folder(figures_directory)
     try:
         results = Results(None if results_file is None else Path(results_file))
+        # The reference in cvxpy has no part in this.
+        warm_up(reference=False)
         with console.Progress(every_s=0.0) as progress:
             if results_file is not None and len(results):
                 progress.note(f"{len(results)} measurements found in {results_file}")

@@ -116,6 +116,7 @@ def test_both_tables_come_with_this_planner_and_a_run_goes_on_where_it_was(
     assert units_told(cli(*run[:-2], "--rival-limit", "0.05", "--time-limit", "0.3").err) == []
 
 
+@pytest.mark.slow
 def test_the_figures_are_drawn(cli: Cli, folder: Path, tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
     other = {
