@@ -54,9 +54,19 @@ def fly(
         typer.Option(help="Whether unsafe failsafe parameters are set on the vehicle; auto: on our simulator alone."),
     ] = "auto",
     handover_way: Annotated[
-        Literal["auto", "gate", "range", "operator_control"],
-        typer.Option(help="How the vehicle is told of a handover."),
+        Literal["auto", "gate", "range", "parameter", "operator_control"],
+        typer.Option(
+            help="How the vehicle is told of a handover; parameter: ArduPilot hears one station at a time and is told "
+            "of each (before 4.7 the only way with several)."
+        ),
     ] = "auto",
+    rally: Annotated[
+        bool,
+        typer.Option("--rally/--no-rally", help="Upload the mission's safe points as rally points for the flight."),
+    ] = True,
+    fence: Annotated[
+        bool, typer.Option("--fence", help="Lay a fence around the plan and every straight way home, for the flight.")
+    ] = False,
     signing_key: Annotated[
         str | None, typer.Option(metavar="file:PATH|env:NAME", help="Sign every frame with this 32-byte key.")
     ] = None,
@@ -82,6 +92,8 @@ def fly(
         log_path=log,
         set_parameters=set_parameters,
         handover_way=handover_way,
+        rally=rally,
+        fence=fence,
         signing_key=signing_key,
         allow_unsigned=allow_unsigned,
     )
@@ -241,7 +253,9 @@ def conclude(
             "what": check["message"],
             "value": check.get("value"),
             "allowed": check.get("required"),
-            "fix": f"a simulator is put there with --home {home_under(plan)}" if check["name"] == "transit" else None,
+            "fix": f"a simulator is put there with --home {home_under(plan)}"
+            if check["name"] == "transit"
+            else check.get("fix"),
         }
         for check in view.failed_checks
     ]
