@@ -149,10 +149,16 @@ class Handover:
 
     @property
     def open(self) -> bool:
-        """Whether the flight may go on towards the border at full speed."""
+        """Whether the flight may go on towards the border at full speed.
+
+        After an attempt that failed not before one succeeds: a station that is proved and never obeyed would else
+        let the flight out of its coverage step by step.
+        """
+        if self.state in (HandoverState.CONFIRMED, HandoverState.RELEASED):
+            return True
         if self.state is HandoverState.REQUESTED:
-            return self._c.now_s - self._requested_s <= 0.5 * self.attempt_s
-        return self.state in (HandoverState.READY, HandoverState.CONFIRMED, HandoverState.RELEASED)
+            return self.attempts == 1 and self._c.now_s - self._requested_s <= 0.5 * self.attempt_s
+        return self.state is HandoverState.READY and self.attempts == 0
 
     def missing(self) -> str:
         """What the next station still lacks; empty when its link is proved and both sides agree."""
@@ -270,6 +276,10 @@ class Handover:
             return ""
         if answered and ticket is not None and ticket.result not in _REFUSALS:
             return "a command of it was answered"
+        if self.way == "parameter":
+            # A vehicle that drops the new station in silence runs on along the old one's last setpoint, which may look
+            # like the new one's for seconds: only an answer shows whom it hears.
+            return ""
         fence = c.gate.fence
         if c.monitor.target is not None and c.monitor.target_s > self._moved_s and fence is not None:
             held = c.echoes.held(c.monitor.target)
