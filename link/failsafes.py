@@ -244,7 +244,7 @@ def _judge(rule: Rule, parameter: Parameter) -> Check:
         return Check(name, Level.PASS, rule.why, value, rule.required)
     finite = math.isfinite(value)
     remedy = None if rule.fix is None else (name, rule.fix(value if finite else 0.0))
-    fix = "" if remedy is not None else f"set {name}: {rule.required}"
+    fix = "" if remedy is not None else f"look at {name}: it is for the crew to decide"
     return Check(name, rule.level, f"unsafe: {rule.why}", value if finite else str(value), rule.required, remedy, fix)
 
 

@@ -23,6 +23,7 @@ from link.context import FlightContext
 from link.dialect import mavlink
 from link.endpoint import is_local
 from link.failsafes import judge_parameters, judge_rally_limit
+from link.fence import judge_limits
 from link.loan import Loan
 from link.mission_desk import MissionDesk
 from link.ownership import Ownership
@@ -204,6 +205,7 @@ class Launch:
         assert position is not None
         self.ground_amsl_m = position[2] + c.plan.plane.alt_amsl_m
         checks += judge_place(c.plan, position, self.ground_amsl_m, c.request)
+        checks += judge_limits(c.profile, self.values, c.plan, position)
         checks += yield from self._judge_links()
         if not any(check.blocks for check in checks):
             checks += yield from self._borrow(position)

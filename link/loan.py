@@ -181,27 +181,24 @@ class Loan:
     # -- fence --------------------------------------------------------------------------------------------------------
 
     def take_fence(self, values: Values, home_enu_m: Place) -> Steps[list[Check]]:
-        """Judge the fence the vehicle holds, or lay one around the plan where that is asked for."""
+        """Judge the polygons the vehicle holds, or lay one around the plan where that is asked for."""
         c, profile, lay = self._c, self._c.profile, self._c.request.fence
-        checks = fence.judge_limits(profile, values, c.plan, home_enu_m)
         if not self._keeps(FENCE):
-            if lay:
-                told = "asked for, but the vehicle keeps no fence"
-                checks.append(Check("fence", Level.FAILURE, told, fix="fly without --fence"))
-            return checks
+            told = "asked for, but the vehicle keeps no fence"
+            return [Check("fence", Level.FAILURE, told, fix="fly without --fence")] if lay else []
         if not lay and not fence.in_force(profile, values):
-            return checks
+            return []
         held = yield from self._download(FENCE)
         if isinstance(held, str):
             told = f"the fence it holds could not be read: {held}"
-            return [*checks, Check("fence", Level.ERROR, told, None, "read back", fix="try again over a better link")]
+            return [Check("fence", Level.ERROR, told, None, "read back", fix="try again over a better link")]
         if not lay:
-            return [*checks, fence.judge_stored(profile, values, c.plan, held)]
+            return [fence.judge_stored(profile, values, c.plan, held)]
         items = fence.around(c.plan, home_enu_m, [place for _, place in self.points])
         check = yield from self._put("fence", FENCE, items, held)
         if check.level is not Level.PASS:
-            return [*checks, Check("fence", max(check.level, Level.FAILURE), check.message, fix=check.fix)]
-        return [*checks, (yield from self._enforce_fence(values, check))]
+            return [Check("fence", max(check.level, Level.FAILURE), check.message, fix=check.fix)]
+        return [(yield from self._enforce_fence(values, check))]
 
     def _enforce_fence(self, values: Values, laid: Check) -> Steps[Check]:
         """Bring the polygon into force; what its action does is said."""

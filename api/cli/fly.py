@@ -238,7 +238,6 @@ def conclude(
 ) -> None:
     """Print the report; raises `ContingencyError` or `FaultError` where the flight did not end as planned."""
     from api.cli.flight_view import result_lines
-    from api.cli.simulator import home_under
 
     if result.exit_code == 1:
         raise FaultError("the flight ended by a fault of ours", {"what": result.reason})
@@ -253,9 +252,7 @@ def conclude(
             "what": check["message"],
             "value": check.get("value"),
             "allowed": check.get("required"),
-            "fix": f"a simulator is put there with --home {home_under(plan)}"
-            if check["name"] == "transit"
-            else check.get("fix"),
+            "fix": _fix(plan, check),
         }
         for check in view.failed_checks
     ]
@@ -264,3 +261,14 @@ def conclude(
             "the flight was refused before take-off", *(paragraphs or [{"what": view.reason or result.reason}])
         )
     raise ContingencyError(f"the flight ended in {result.state}", {"what": view.reason, "report": report})
+
+
+def _fix(plan: Plan, check: Mapping[str, Any]) -> str | None:
+    """What to do about a finding of the preflight, in terms of the command line."""
+    from api.cli.simulator import home_under
+
+    if check["name"] == "transit":
+        return f"{check.get('fix')}; a simulator is put there with --home {home_under(plan)}"
+    if check.get("set"):
+        return f"{check.get('fix')}, or let `fly` do it with --set-parameters yes"
+    return check.get("fix")

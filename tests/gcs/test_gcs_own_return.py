@@ -98,9 +98,9 @@ def test_wherever_it_begins_the_way_taken_is_covered_where_the_span_says_so(
     here = STRAIGHT.evaluate(time_s)
     away = sorted((math.hypot(e - here[0], n - here[1]), (e, n)) for e, n in places)
     target = (0.0, 0.0)
-    if away and (limit_m is None or away[0][0] <= limit_m):
-        if not home_counts or away[0][0] < math.hypot(here[0], here[1]):
-            target = away[0][1]
+    counts = bool(away) and (limit_m is None or away[0][0] <= limit_m)
+    if counts and (not home_counts or away[0][0] < math.hypot(here[0], here[1])):
+        target = away[0][1]
     span = next(w for w in own_returns(ground(700.0), STRAIGHT, rules) if w.from_s <= time_s <= w.to_s)
     corners = np.array([here, [here[0], here[1], 60.0], [*target, 60.0], [*target, 0.0]])
     way = np.concatenate([np.linspace(a, b, 500) for a, b in itertools.pairwise(corners)])
