@@ -200,7 +200,7 @@ def _rules_ardupilot(least_s: float, values: Values) -> list[Rule]:
     ]
 
 
-def judge_parameters(profile: AutopilotProfile, values: Values, rate_hz: float) -> list[Check]:
+def judge_failsafes(profile: AutopilotProfile, values: Values, rate_hz: float) -> list[Check]:
     """Findings about the parameters, for a stream of ``rate_hz`` setpoints a second.
 
     ``values`` by `ParameterName.key`, None where the vehicle knows no such name.

@@ -1,11 +1,7 @@
 """From open links to a vehicle in the air at the height of the plan's start.
 
-connect -> identify -> preflight -> (word) -> mode, arm, take-off. Nothing is armed before every check has passed. An
-ack is an answer, not a fact: modes and arming are believed from the HEARTBEAT alone.
-
-The two autopilots take off differently. ArduPilot: GUIDED, arm, NAV_TAKEOFF, and not one setpoint during the climb (it
-would abort it). PX4: a stream of setpoints for more than a second first, then OFFBOARD, arm, and the climb is flown by
-setpoints.
+connect -> identify -> preflight -> (word) -> mode, arm, take-off (`link.takeoff`). Nothing is armed before every check
+has passed; what is changed in the vehicle for the flight is lent (`link.loan`).
 """
 
 from __future__ import annotations
@@ -22,7 +18,6 @@ from link.commands import Ticket
 from link.context import FlightContext
 from link.dialect import mavlink
 from link.endpoint import is_local
-from link.failsafes import judge_parameters, judge_rally_limit
 from link.fence import judge_limits
 from link.loan import Loan
 from link.mission_desk import MissionDesk
@@ -36,6 +31,7 @@ from link.preflight import (
     judge_link,
     judge_origin,
     judge_own_return,
+    judge_parameters,
     judge_performance,
     judge_place,
     judge_plan,
@@ -43,18 +39,14 @@ from link.preflight import (
     return_rules,
 )
 from link.relay import attempt_time_s
-from link.setpoints import Setpoint
 from link.steps import Refused, Steps, answered, wait_until
-from link.stream import Reference, StraightLine
+from link.takeoff import TakeOff
 
 LINKS_WAIT_S = 8.0
 """How long the other stations' links are waited for once the vehicle is heard."""
 HEARD_S = 3.0
 QUALITY_WAIT_S = 4.0
 PREFLIGHT_VALID_S = 60.0
-MODE_WAIT_S = 3.0
-SETTLED_M = 1.5
-SETTLED_M_S = 0.7
 SIMULATOR_PARAMETER = "SIM_SPEEDUP"
 
 STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
@@ -88,10 +80,7 @@ class Launch:
         yield from self._preflight()
         yield from self._wait_for_word()
         self._c.become(FlightState.ARMING, "launch")
-        if self._c.profile.name == "ardupilot":
-            yield from self._take_off_ardupilot()
-        else:
-            yield from self._take_off_px4()
+        yield from TakeOff(self._c, self.restore).run(self.ground_amsl_m)
 
     # -- connect ------------------------------------------------------------------------------------------------------
 
@@ -264,7 +253,7 @@ class Launch:
     def _failsafes(self) -> Steps[list[Check]]:
         """Judge the parameters; set what is unsafe where that is allowed, and judge again what is read back."""
         c = self._c
-        checks = self._judge_parameters()
+        checks = judge_parameters(c.profile, self.values, c.request)
         allowed = c.request.set_parameters == "yes" or (
             c.request.set_parameters == "auto" and self.simulator_speedup is not None
         )
@@ -279,15 +268,7 @@ class Launch:
             yield from wait_until(c, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
             c.emit(EventKind.PARAMETER, name=name, before=check.value, after=value if setting.confirmed else None)
         yield from self._read()
-        return self._judge_parameters()
-
-    def _judge_parameters(self) -> list[Check]:
-        c = self._c
-        safe_points = c.request.rally and bool(c.plan.mission.safe_points)
-        return [
-            *judge_parameters(c.profile, self.values, c.request.rate_hz),
-            *judge_rally_limit(self.values, c.plan, wanted=safe_points),
-        ]
+        return judge_parameters(c.profile, self.values, c.request)
 
     def _judge_links(self) -> Steps[list[Check]]:
         """Every station's link: heard and answered. A real vehicle on the ground is out of most stations' range."""
@@ -344,105 +325,6 @@ class Launch:
             raise Refused(f"no word to launch in {c.request.launch_timeout_s:g} s")
         if c.now_s - self.preflight_s > PREFLIGHT_VALID_S:
             yield from self._preflight()
-
-    # -- take-off -----------------------------------------------------------------------------------------------------
-
-    def _take_off_ardupilot(self) -> Steps[None]:
-        c = self._c
-        yield from self._enter(c.profile.offboard_mode, None)
-        yield from self._arm(None)
-        c.become(FlightState.TAKEOFF)
-        start_up_m = float(c.plan.trajectory.evaluate(0.0)[2])
-        height_m = start_up_m + c.plan.plane.alt_amsl_m - self.ground_amsl_m
-        # Answered "failed" when an earlier answer was lost and it climbs already: the height tells.
-        yield from self._command("take-off", mavlink.MAV_CMD_NAV_TAKEOFF, (0, 0, 0, 0, 0, 0, height_m))
-        limit_s = 30.0 + height_m / 0.5
-        climbed = yield from wait_until(c, lambda: self._at_height(start_up_m) or not c.armed, limit_s)
-        if not c.armed:
-            yield from self.restore()
-            raise Refused("the vehicle disarmed again instead of climbing")
-        if not climbed:
-            c.alarm("take-off stuck", height_m=height_m)
-        # Arming lays home anew, and may tell the origin again.
-        c.adopt_origin(c.plan.station_ids[0])
-
-    def _at_height(self, up_m: float) -> bool:
-        here, position = self._c.position_enu_m(), self._c.monitor.position
-        if here is None or position is None:
-            return False
-        return abs(here[2] - up_m) <= SETTLED_M and abs(position.velocity_ned_m_s[2]) <= SETTLED_M_S
-
-    def _take_off_px4(self) -> Steps[None]:
-        c = self._c
-        here = c.position_enu_m()
-        assert here is not None
-        up_m = float(c.plan.trajectory.evaluate(0.0)[2])
-        line = StraightLine(
-            c.plan,
-            0,
-            here,
-            (here[0], here[1], up_m),
-            speed_m_s=c.request.climb_m_s,
-            climb_m_s=c.request.climb_m_s,
-            accel_m_s2=1.0,
-        )
-        climb = Reference(line, accel_m_s2=1.0)
-        started_s = c.now_s
-        while c.now_s - started_s < c.profile.stream_before_offboard_s + 0.5:
-            c.send_setpoint(climb.setpoint())
-            yield
-        yield from self._enter(c.profile.offboard_mode, climb.setpoint())
-        yield from self._arm(climb.setpoint())
-        c.become(FlightState.TAKEOFF)
-        period_s = 1.0 / c.request.rate_hz
-        deadline_s = c.now_s + line.duration_s + 60.0
-        while not (climb.finished and self._at_height(up_m)):
-            if not c.armed or not c.follows:
-                return
-            if c.now_s >= deadline_s:
-                c.alarm("take-off stuck", height_m=up_m + c.plan.plane.alt_amsl_m - self.ground_amsl_m)
-                return
-            climb.step(period_s, 1.0)
-            c.send_setpoint(climb.setpoint())
-            yield
-
-    def _enter(self, mode: str, streamed: Setpoint | None) -> Steps[None]:
-        """Enter a mode, disarmed; believes the HEARTBEAT. Raises `Refused`."""
-        c = self._c
-        for _ in range(5):
-            ticket = c.start_mode(mode)
-            yield from self._streaming(streamed, lambda: c.mode == mode, MODE_WAIT_S)
-            c.commander.cancel(ticket)
-            if c.mode == mode:
-                c.emit(EventKind.COMMAND, name=f"mode {mode}", result=ticket.outcome, attempts=ticket.sent)
-                return
-        yield from self.restore()
-        raise Refused(f"the vehicle does not enter {mode}: it stays in {c.mode}")
-
-    def _arm(self, streamed: Setpoint | None) -> Steps[None]:
-        """Arm, as often as it takes until the vehicle is ready. Raises `Refused` with its own words."""
-        c = self._c
-        deadline_s = c.now_s + c.request.arm_timeout_s
-        outcome = "no answer"
-        while c.now_s < deadline_s:
-            ticket = c.start_command("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
-            yield from self._streaming(streamed, lambda t=ticket: t.finished or c.armed, MODE_WAIT_S)  # type: ignore[misc]
-            outcome = ticket.outcome
-            c.emit(EventKind.COMMAND, name="arm", result=outcome, attempts=ticket.sent)
-            # The next beat of a 1 Hz HEARTBEAT shows it; a refusal is asked again later.
-            yield from self._streaming(streamed, lambda: c.armed, 2.0)
-            if c.armed:
-                return
-        yield from self.restore()
-        raise Refused(f"the vehicle does not arm ({outcome}): its own words are in the flight's events")
-
-    def _streaming(self, setpoint: Setpoint | None, condition: Callable[[], bool], timeout_s: float) -> Steps[None]:
-        """Wait for a condition, streaming a setpoint meanwhile where one is given."""
-        until_s = self._c.now_s + timeout_s
-        while not condition() and self._c.now_s < until_s:
-            if setpoint is not None:
-                self._c.send_setpoint(setpoint)
-            yield
 
     def _command(self, name: str, command: int, params: tuple[Any, ...]) -> Steps[Ticket]:
         ticket = yield from answered(self._c.start_command(name, command, tuple(float(p) for p in params)))

@@ -78,7 +78,7 @@ class Loan:
         if c.profile.name != "ardupilot" or way in ("gate", "operator_control"):
             return []
         before = ownership.present(values)
-        used = {station: c.system_ids[station] for station in c.plan.station_ids}
+        used = {station: c.system_ids[station] for station in c.monitor.links}
         required = "MAV_GCS_SYSID and MAV_OPTIONS (4.6: SYSID_MYGCS and SYSID_ENFORCE)"
         if before is None:
             fix = "give --handover-way gate to fly without, knowing that the vehicle then obeys anybody"

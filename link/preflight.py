@@ -14,11 +14,28 @@ import numpy as np
 from gcs.own_return import OwnReturn, Place, ReturnRules
 from gcs.plan import Plan
 from link.checks import Check, Level
-from link.failsafes import Values
+from link.failsafes import Values, judge_failsafes, judge_rally_limit
 from link.profiles import AutopilotProfile
 from link.projection import EkfOrigin
 from link.request import FlightRequest
 from link.telemetry import LinkQuality
+
+__all__ = [
+    "Check",
+    "Identity",
+    "Level",
+    "judge_clock",
+    "judge_identity",
+    "judge_link",
+    "judge_origin",
+    "judge_own_return",
+    "judge_parameters",
+    "judge_performance",
+    "judge_place",
+    "judge_plan",
+    "judge_vehicle",
+    "return_rules",
+]
 
 GRAVITY_M_S2 = 9.80665
 MIN_START_HEIGHT_M = 3.0
@@ -35,6 +52,13 @@ OLDEST = {"px4": (1, 12), "ardupilot": (4, 3)}
 _ROTORCRAFT = frozenset({2, 3, 4, 13, 14, 15, 29, 35})
 _VTOL = frozenset(range(19, 26))
 _RELEASES = ((64, "dev"), (128, "alpha"), (192, "beta"), (255, "rc"))
+
+
+def judge_parameters(profile: AutopilotProfile, values: Values, request: FlightRequest) -> list[Check]:
+    """Findings about the failsafe parameters, for this flight; see `link.failsafes`."""
+    checks = judge_failsafes(profile, values, request.rate_hz)
+    safe_points = request.rally and bool(request.flown_plan.mission.safe_points)
+    return [*checks, *judge_rally_limit(values, request.flown_plan, wanted=safe_points)]
 
 
 def judge_performance(profile: AutopilotProfile, values: Values, plan: Plan) -> list[Check]:

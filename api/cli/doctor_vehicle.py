@@ -109,7 +109,7 @@ def _client(url: str, address: LinkUrl, system_id: int) -> Iterator[Any]:
 
 def _judge(system: Any, url: str) -> tuple[AutopilotProfile, dict[str, Any], list[Check]]:
     """What the vehicle is, and the findings about it."""
-    from link.failsafes import judge_parameters
+    from link.failsafes import judge_failsafes
     from link.preflight import judge_identity
     from link.profiles import PROFILES
 
@@ -125,7 +125,7 @@ def _judge(system: Any, url: str) -> tuple[AutopilotProfile, dict[str, Any], lis
     identity, vehicle_type = _identity(system)
     values = _values(system, profile)
     checks = [*judge_identity(profile, identity, vehicle_type), _told(values, url)]
-    checks += judge_parameters(profile, values, RATE_HZ)
+    checks += judge_failsafes(profile, values, RATE_HZ)
     vehicle = {
         "url": url,
         "system_id": system.get_system_id(),

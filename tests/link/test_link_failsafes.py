@@ -8,7 +8,7 @@ import math
 import pytest
 
 from link.checks import Check, Level
-from link.failsafes import Rule, _rules_ardupilot, _rules_px4, judge_parameters
+from link.failsafes import Rule, _rules_ardupilot, _rules_px4, judge_failsafes
 from link.params import Parameter
 from link.profiles import PROFILES
 
@@ -100,7 +100,7 @@ def judged(autopilot: str, rate_hz: float = RATE_HZ, **changes: float | None) ->
     for parameter in PROFILES[autopilot].parameters:
         name = next((n for n in parameter.names if n in table), None)
         values[parameter.key] = None if name is None else Parameter(name, table[name], 9)
-    return {check.name: check for check in judge_parameters(PROFILES[autopilot], values, rate_hz)}
+    return {check.name: check for check in judge_failsafes(PROFILES[autopilot], values, rate_hz)}
 
 
 def rules(autopilot: str) -> list[Rule]:
