@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from link.dialect import mavlink
@@ -21,6 +22,9 @@ REBOOT_BACK_S = 3.0
 TEXT_CHUNK = 50
 SAME_TEXT_S = 2.0
 PROBE_MEMORY = 64
+PROBE_LOST_S = 1.0
+"""A probe unanswered for so long counts as lost."""
+PROBES_ENOUGH = 8
 OFFSET_WINDOW_S = 20.0
 
 GROUND_STATION_TYPES = (mavlink.MAV_TYPE_GCS,)
@@ -64,6 +68,15 @@ class Heartbeat:
         return bool(self.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
+@dataclass(frozen=True, slots=True)
+class LinkQuality:
+    """A link by its probes: share lost (there or back), mean round trip, mean change of it from one to the next."""
+
+    loss: float
+    round_trip_s: float
+    jitter_s: float
+
+
 @dataclass
 class StationLink:
     """The health of one station's link. Times are the flight's clock, minus infinity where nothing came yet."""
@@ -79,12 +92,26 @@ class StationLink:
     origin: EkfOrigin | None = None
     origin_s: float = -math.inf
     probes: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=PROBE_MEMORY))
+    trips: dict[float, float] = field(default_factory=dict)
+    """Round trip of each answered probe still in ``probes``, by when it was sent."""
 
     def answered(self, sent_s: float, now_s: float) -> None:
         """A frame sent at ``sent_s`` was answered at ``now_s``."""
         self.proven_s = max(self.proven_s, sent_s)
         trip = now_s - sent_s
         self.round_trip_s = trip if self.round_trip_s is None else 0.8 * self.round_trip_s + 0.2 * trip
+        self.trips.setdefault(sent_s, trip)
+        if len(self.trips) > PROBE_MEMORY:
+            del self.trips[min(self.trips)]
+
+    def quality(self, now_s: float) -> LinkQuality | None:
+        """What the last probes say of this link, both ways together; None before enough are over."""
+        over = [sent_s for _, sent_s in self.probes if now_s - sent_s >= PROBE_LOST_S]
+        trips = [self.trips[sent_s] for sent_s in over if sent_s in self.trips]
+        if len(over) < PROBES_ENOUGH or not trips:
+            return None
+        jitter_s = sum(abs(b - a) for a, b in pairwise(trips)) / max(1, len(trips) - 1)
+        return LinkQuality(1.0 - len(trips) / len(over), sum(trips) / len(trips), jitter_s)
 
 
 class VehicleMonitor:
@@ -96,6 +123,8 @@ class VehicleMonitor:
         self.heartbeat: Heartbeat | None = None
         self.position: Position | None = None
         self.version: Any = None
+        self.unix_s: tuple[float, float] | None = None
+        """The vehicle's UTC (SYSTEM_TIME) and our clock when it came; None while it has none."""
         self.home_amsl_m: float | None = None
         self.landed_state: int = 0
         self.battery_percent: int | None = None
@@ -245,6 +274,10 @@ class VehicleMonitor:
     def _on_version(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.version = m
 
+    def _on_system_time(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        if m.time_unix_usec > 0 and fresh:
+            self.unix_s = (m.time_unix_usec * 1e-6, now_s)
+
     def _on_control_status(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.control_main, self.control_s = m.gcs_main, now_s
 
@@ -277,6 +310,7 @@ _HANDLERS = {
     "EXTENDED_SYS_STATE": VehicleMonitor._on_extended_state,
     "SYS_STATUS": VehicleMonitor._on_sys_status,
     "AUTOPILOT_VERSION": VehicleMonitor._on_version,
+    "SYSTEM_TIME": VehicleMonitor._on_system_time,
     "CONTROL_STATUS": VehicleMonitor._on_control_status,
     "STATUSTEXT": VehicleMonitor._on_text,
 }
