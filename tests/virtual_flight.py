@@ -76,10 +76,14 @@ class Truth:
 
 
 def plan_home(plan: Plan, below_m: float = 5.0) -> tuple[float, float, float]:
-    """Flat ground under a plan's start."""
+    """The place under a plan's start, and the height of flat ground ``below_m`` under the plan's lowest point.
+
+    The simulated ground is level everywhere: a plan that descends below its start must not meet it.
+    """
     start = plan.trajectory.evaluate(0.0)
     lat, lon = plan.plane.to_geodetic(float(start[0]), float(start[1]))
-    return float(lat), float(lon), float(start[2]) + plan.plane.alt_amsl_m - below_m
+    lowest_m = float(plan.trajectory.evaluate(np.linspace(0.0, plan.mission_time_s, 1000))[:, 2].min())
+    return float(lat), float(lon), lowest_m + plan.plane.alt_amsl_m - below_m
 
 
 class VirtualFlight:
