@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import tempfile
 import threading
 import time
 from collections.abc import Mapping
@@ -28,14 +27,13 @@ from gcs.settings import Settings
 from gcs.store import FlightRecord, Store
 from link.errors import LinkError, SupervisorError
 from link.request import FlightRequest
-from link.supervisor import MAX_SOCKET_PATH, RunningFlight, attach, start_flight
+from link.supervisor import RunningFlight, attach, start_flight
 
 log = structlog.get_logger("api.flights")
 
 # Where the vehicle is comes once a second; the history keeps one so often (wall seconds).
 _KEEP_PROGRESS_S = 5.0
 PREFLIGHT_VALID_S = 60.0
-_SOCKET_NAME_ROOM = len("/control.sock")
 
 
 class _Journal:
@@ -122,10 +120,8 @@ class FlightDesk:
         return links
 
     def _folder(self, flight_id: str) -> Path:
-        """Where a flight's streamer keeps its things; a Unix socket's path must be short."""
+        """Where a flight's streamer keeps its things."""
         folder = self._settings.data_dir / "flights" / flight_id
-        if len(str(folder)) + _SOCKET_NAME_ROOM > MAX_SOCKET_PATH:
-            return Path(tempfile.mkdtemp(prefix="skyrelay-flight-"))
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         return folder
 

@@ -37,7 +37,7 @@ from typing import Any
 from gcs.flight import FlightEvent, TransitionError, Word
 from link.clock import FlightClock, PacedClock
 from link.codec import StationCodec
-from link.control_socket import ControlServer
+from link.control_socket import SOCKET_FILE, ControlServer
 from link.endpoint import Endpoint, open_endpoint
 from link.errors import FlightRequestError, LinkError
 from link.flight import FlightCore, FlightRequest
@@ -189,7 +189,7 @@ class Streamer:
             epoch_unix_s=epoch_unix_s,
             on_frame=self.recorder.frame,
         )
-        self.control = ControlServer(run_dir / "control.sock")
+        self.control = ControlServer(run_dir / SOCKET_FILE)
         self.events: list[dict[str, Any]] = []
         self._stop = False
         self._deadline_s = 0.0

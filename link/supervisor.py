@@ -25,12 +25,12 @@ from typing import Any
 
 from gcs.errors import Fault
 from gcs.flight import EventKind, FlightEvent, FlightState, Journal, TransitionError
+from link.control_socket import SOCKET_FILE, connect
 from link.errors import FlightRequestError, SupervisorError
 from link.request import FlightRequest
 
 START_TIMEOUT_S = 30.0
 REPLY_TIMEOUT_S = 10.0
-MAX_SOCKET_PATH = 100
 OnEvent = Callable[[FlightEvent], None]
 
 
@@ -59,8 +59,6 @@ def start_flight(
     """
     folder = run_dir if run_dir is not None else Path(tempfile.mkdtemp(prefix="skyrelay-flight-"))
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if len(str(folder / "control.sock")) > MAX_SOCKET_PATH:
-        raise SupervisorError(f"run folder {folder} has too long a path for a socket; choose a shorter one")
     if (folder / "request.json").exists():
         raise SupervisorError(f"run folder {folder} has been flown from; choose another")
     document = json.dumps(request.to_document()).encode()
@@ -95,8 +93,7 @@ def attach(
     """
     try:
         pid = int((run_dir / "pid").read_text())
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        connection.connect(str(run_dir / "control.sock"))
+        connection = connect(run_dir / SOCKET_FILE)
     except (OSError, ValueError) as error:
         raise SupervisorError(f"no streamer runs in {run_dir}: {error}") from None
     return RunningFlight(run_dir, connection, pid, None, journal, on_event, after=after)
@@ -112,14 +109,10 @@ def _connect(folder: Path, process: subprocess.Popen[bytes]) -> socket.socket:
                 raise FlightRequestError([Fault("links", said["error"])])
             tail = (folder / "streamer.log").read_text(errors="replace")[-2000:]
             raise SupervisorError(f"the streamer ended at once (exit code {process.returncode}): {tail}")
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            connection.connect(str(folder / "control.sock"))
+            return connect(folder / SOCKET_FILE)
         except OSError:
-            connection.close()
             time.sleep(0.02)
-            continue
-        return connection
     raise SupervisorError(f"the streamer did not come up in {START_TIMEOUT_S:g} s; see {folder / 'streamer.log'}")
 
 
@@ -283,7 +276,7 @@ class RunningFlight:
                 self._process.kill()
                 return self._process.wait()
         deadline = time.monotonic() + REPLY_TIMEOUT_S
-        while time.monotonic() < deadline and _alive(self.pid):
+        while time.monotonic() < deadline and _is_streamer(self.pid, self.run_dir):
             time.sleep(0.02)
         return None
 
@@ -295,13 +288,3 @@ def _is_streamer(pid: int, run_dir: Path) -> bool:
     except OSError:
         return False
     return str(run_dir).encode() in command
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
