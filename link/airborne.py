@@ -15,14 +15,15 @@ from __future__ import annotations
 
 import math
 
-from gcs.flight import EventKind, FlightState
+from gcs.flight import EventKind, FlightState, TransitionError
 from link.context import FlightContext
 from link.lapse import Lapse
 from link.launch import Launch
 from link.relay import TAKEOVER_SHARE, Relay
-from link.setpoints import Setpoint, SetpointStream
+from link.replan import NextPlan, time_and_leg
+from link.setpoints import SetpointStream
 from link.stream import Reference, StraightLine
-from link.watch import LagMonitor, UplinkMonitor
+from link.watch import LagMonitor, Lead, UplinkMonitor
 from link.way_out import over_safe_point, way_out
 
 Vector = tuple[float, float, float]
@@ -54,7 +55,8 @@ class Airborne:
         self._launch = launch
         self.stream = SetpointStream(context.plan, context.request.rate_hz)
         self.relay = Relay(context)
-        self.lag = LagMonitor(context)
+        self.lead = Lead(context)
+        self.lag = LagMonitor(context, self.lead)
         self.uplink = UplinkMonitor(context)
         self.lapse = Lapse(context, self.relay, self.stream)
         self.attended = True
@@ -122,6 +124,7 @@ class Airborne:
         """One tick; ``dt_s`` since the last one, missed ticks included."""
         state = self._c.state
         self.lag.update()
+        self.lead.update(dt_s)
         self.uplink.update()
         if state is FlightState.LAPSED:
             self._lapsed()
@@ -138,13 +141,16 @@ class Airborne:
         }
         handlers[state](dt_s)
 
-    def _send(self, setpoint: Setpoint) -> None:
-        self._c.send_setpoint(setpoint)
-        self.lag.note(setpoint)
+    def _send(self) -> None:
+        """The reference as it will be when this setpoint arrives; the vehicle is judged by what it is now."""
+        now = self.reference.setpoint()
+        led_s = self.lead.seconds
+        self._c.send_setpoint(self.reference.setpoint(led_s) if led_s > 0.0 else now)
+        self.lag.note(now)
 
     def _along_line(self, dt_s: float, wanted: float) -> None:
         self.reference.step(dt_s, wanted)
-        self._send(self.reference.setpoint())
+        self._send()
 
     def _along_plan(self, dt_s: float, wanted: float, *, backwards: bool = False) -> None:
         """One tick along the plan: limits, handover, setpoint."""
@@ -158,7 +164,7 @@ class Airborne:
             and self.reference.stands
         )
         self.relay.step(self.reference.time_s, backwards=backwards)
-        self._send(self.reference.setpoint())
+        self._send()
 
     def _keep_up(self) -> float:
         """The largest rate the vehicle follows."""
@@ -328,7 +334,9 @@ class Airborne:
 
     def _arrived(self, dt_s: float) -> None:
         c = self._c
-        self._send(self.reference.setpoint().hold())
+        hold = self.reference.setpoint().hold()
+        c.send_setpoint(hold)
+        self.lag.note(hold)
         waited_s = c.now_s - self._since_s
         if c.plan.mission.options.on_arrival == "hold":
             if waited_s >= c.request.hold_limit_s:
@@ -414,6 +422,38 @@ class Airborne:
             self.lapse.resume()
         else:
             self._become(self._held_state, "resume")
+
+    def adopt(self, upcoming: NextPlan, join_s: float | None) -> None:
+        """A person says: fly this plan from here on. ``join_s``: its time of standing, for a flight that stands.
+
+        Raises `TransitionError`, and changes nothing, where it does not fit the flight at this moment.
+        """
+        c = self._c
+        holding = c.state is FlightState.HOLDING
+        if self.line or (holding and self._held_state is not FlightState.CRUISE):
+            raise TransitionError("the flight is not on its way along the plan")
+        if self.relay.moving:
+            raise TransitionError("control is being moved just now; say it again in a moment")
+        station = c.plan.station_ids[self.relay.leg]
+        time_s, leg = time_and_leg(upcoming, self.reference, self.stream, station, join_s)
+        before, present = c.plan.plan_sha256, self.reference
+        c.plan, self.stream = upcoming.plan, upcoming.stream
+        self.relay.adopt(leg)
+        self.lapse.adopt(upcoming.stream)
+        self._on_plan = upcoming.reference
+        self.reference = self._on_plan.placed(time_s, present.rate)
+        self.reference.rate_change_per_s = present.rate_change_per_s
+        self._accel, self._at_limit = upcoming.plan.mission.limits.max_accel_m_s2, False
+        c.emit(
+            EventKind.REPLANNED,
+            plan_sha256=c.plan.plan_sha256,
+            before=before,
+            plan_s=round(time_s, 3),
+            mission_time_s=c.plan.mission_time_s,
+            handovers_done=leg,
+        )
+        if holding:
+            self._become(FlightState.CRUISE, "on by a new plan")
 
     def land(self) -> None:
         """A person says land: where the vehicle is."""

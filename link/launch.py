@@ -290,7 +290,7 @@ class Launch:
             level = Level.WARNING if single else Level.FAILURE
             message = "no range of station ids on this vehicle: only one station's heartbeats would count"
             return [Check("ownership", level, message, None, "MAV_GCS_SYSID_HI (ArduPilot 4.7)")]
-        used = {station: c.system_ids[station] for station in c.plan.station_ids}
+        used = {station: c.system_ids[station] for station in c.monitor.links}
         after = ownership.wanted(used, before)
         if self.ownership_before is None:
             self.ownership_before = before
@@ -306,7 +306,7 @@ class Launch:
             return
         self.ownership_before = None
         c = self._c
-        used = {station: c.system_ids[station] for station in c.plan.station_ids}
+        used = {station: c.system_ids[station] for station in c.monitor.links}
         done = yield from ownership.apply(c, self.parameters, self.values, ownership.wanted(used, before), before)
         if not done:
             c.alarm("ownership not restored", low=before.low, high=before.high, options=before.options)
