@@ -6,7 +6,8 @@ at any moment before it and misses nothing; T+, the handovers flown and their nu
 what was truly flown; and certificate and schedule are measured on the whole.
 
 A flight that stands on its path cannot take over a velocity. Its new plan brakes on the path behind it, comes to rest
-where the flight stands (`Replanned.join_s`), and goes on from there.
+where the flight stands, and goes on from there. A flight that waits for a station stands at the very end of the
+coverage behind it, beyond any margin: then the new plan rests a little further back, where the flight has to go first.
 """
 
 from __future__ import annotations
@@ -37,21 +38,28 @@ LEAST_LEFT_S = 1.0
 """A join this near the end of the plan, or nearer, is no use."""
 BRAKING_SHARES = (0.6, 0.45, 0.3, 0.8)
 """Peak braking, of the acceleration limit, tried in turn for a flight that stands."""
+BACK_S = (0.0, 2.0, 4.0, 8.0, 16.0)
+"""How far back on the plan a flight that stands may have to go, tried in turn."""
 _PIECE_S = 1.0
 _OTHER_STARTS = 3
 
 
 @dataclass(frozen=True)
 class Replanned:
-    """A new plan, and the time of it at which the flight goes on: `join_s` of the old plan too, unless it stands."""
+    """A new plan. The flight leaves the old one at ``leave_s`` of it and goes on at ``join_s`` of the new.
+
+    Both are the same time unless it stands (``at_rest``).
+    """
 
     plan: Plan
     join_s: float
     at_rest: bool
+    leave_s: float
 
     def to_document(self) -> dict[str, object]:
-        """As JSON: ``plan`` (a plan document), ``join_s``, ``at_rest``."""
-        return {"plan": self.plan.to_document(), "join_s": self.join_s, "at_rest": self.at_rest}
+        """As JSON; ``plan`` is a plan document."""
+        rest = {"join_s": self.join_s, "at_rest": self.at_rest, "leave_s": self.leave_s}
+        return {"plan": self.plan.to_document(), **rest}
 
 
 @dataclass(frozen=True)
@@ -64,6 +72,8 @@ class ReplanOrder:
     destination: Mapping[str, float] | None = None
     excluded_stations: tuple[str, ...] | None = None
     elapsed_s: float | None = None
+    present_s: float | None = None
+    handovers_done: int | None = None
 
     def to_document(self) -> dict[str, Any]:
         """As JSON."""
@@ -87,6 +97,8 @@ class ReplanOrder:
             destination=mission.destination,
             excluded_stations=mission.options.excluded_stations,
             elapsed_s=self.elapsed_s,
+            present_s=self.present_s,
+            handovers_done=self.handovers_done,
             **how,
         )
 
@@ -99,6 +111,8 @@ def replan(
     destination: Position | None = None,
     excluded_stations: Sequence[str] | None = None,
     elapsed_s: float | None = None,
+    present_s: float | None = None,
+    handovers_done: int | None = None,
     planner: PlannerLike | None = None,
     method: Method | None = None,
     time_limit_s: float | None = None,
@@ -109,8 +123,9 @@ def replan(
     """Plan anew from ``join_s`` of ``plan``; ``at_rest``: the flight stands there.
 
     ``destination`` and ``excluded_stations`` (ids) replace the mission's. ``elapsed_s`` is how long the flight will
-    have lasted at the join, where that is not ``join_s``: endurance counts from take-over of the plan. The rest is as
-    for `gcs.planning.plan_mission`.
+    have lasted at the join, where that is not ``join_s``: endurance counts from T+0. Handovers planned
+    before ``present_s``, where the flight is now, but beyond the first ``handovers_done`` have not come about: the
+    station before them is still in control. The rest is as for `gcs.planning.plan_mission`.
 
     Raises `MissionInfeasible` and `PlanningFailed` as that does; `MissionInfeasible` with reason ``"join"`` where no
     new curve can be joined on.
@@ -121,25 +136,51 @@ def replan(
             "Replan earlier in the flight, or plan a new mission after landing.",
         )
     excluded = list(plan.mission.options.excluded_stations if excluded_stations is None else excluded_stations)
-    in_control = plan.station_at(join_s).id
+    how = {
+        "planner": planner,
+        "method": method,
+        "time_limit_s": time_limit_s,
+        "created_utc": created_utc,
+        "notes": notes,
+        "progress": progress,
+        "plane": plan.plane,
+    }
+    first: MissionInfeasible | None = None
+    for back_s in BACK_S if at_rest else (0.0,):
+        if back_s > join_s:
+            break
+        leave_s = join_s - back_s
+        curve = _as_flown(plan, present_s, handovers_done)
+        try:
+            return _from(plan, curve, leave_s, at_rest, destination, excluded, elapsed_s, how)
+        except MissionInfeasible as error:
+            first = first or error
+    assert first is not None
+    raise first
+
+
+def _from(
+    plan: Plan,
+    curve: Trajectory,
+    join_s: float,
+    at_rest: bool,
+    destination: Position | None,
+    excluded_stations: Sequence[str],
+    elapsed_s: float | None,
+    how: Mapping[str, Any],
+) -> Replanned:
+    """`replan` from one place of the plan, ``curve`` being the plan's own as it was flown."""
+    excluded = list(excluded_stations)
+    in_control = plan.mission.stations[int(curve.station_index[curve.segment_at(join_s)])].id
     last: MissionInfeasible | None = None
     for _ in range(_OTHER_STARTS):
         wanted = _continuation(plan, join_s, at_rest, destination, excluded, elapsed_s)
         try:
-            rest = plan_mission(
-                wanted,
-                planner=planner,
-                method=method,
-                time_limit_s=time_limit_s,
-                created_utc=created_utc,
-                notes=notes,
-                progress=progress,
-                plane=plan.plane,
-            )
+            rest = plan_mission(wanted, **how)
         except MissionInfeasible as error:
             # What stations left out for their start alone would have made possible is not to be blamed on the mission.
             raise last or error from None
-        found = _standing(plan, join_s, rest) if at_rest else _moving(plan, join_s, rest)
+        found = _standing(plan, curve, join_s, rest) if at_rest else _moving(plan, curve, join_s, rest)
         if isinstance(found, Replanned):
             return found
         last = found
@@ -192,6 +233,18 @@ def _three(vector: Array) -> tuple[float, float, float]:
     return float(vector[0]), float(vector[1]), float(vector[2])
 
 
+def _as_flown(plan: Plan, present_s: float | None, handovers_done: int | None) -> Trajectory:
+    """The plan's curve with the stations that truly were in control until now."""
+    curve = plan.trajectory
+    if present_s is None or handovers_done is None or not 0 <= handovers_done < len(curve.sequence):
+        return curve
+    stations = np.array(curve.station_index)
+    due = int(np.count_nonzero(curve.handover_times_s <= present_s))
+    late = (curve.leg_index > handovers_done) & (curve.leg_index <= due)
+    stations[late] = curve.sequence[handovers_done]
+    return Trajectory(curve.control_points_m, curve.durations_s, stations)
+
+
 def _until(curve: Trajectory, time_s: float) -> tuple[Array, Array, NDArray[np.int64]]:
     """Control points, durations and stations of a curve up to a time of it."""
     parts = curve.split([time_s])
@@ -210,8 +263,7 @@ def _snapped(rest: Trajectory, place: Array, velocity: Array, acceleration: Arra
     return points
 
 
-def _moving(plan: Plan, join_s: float, rest: Plan) -> Replanned | MissionInfeasible:
-    curve = plan.trajectory
+def _moving(plan: Plan, curve: Trajectory, join_s: float, rest: Plan) -> Replanned | MissionInfeasible:
     degree = max(curve.degree, rest.trajectory.degree)
     points, durations, stations = _until(curve, join_s)
     state = [np.asarray(curve.evaluate(join_s, order)) for order in (0, 1, 2)]
@@ -222,12 +274,11 @@ def _moving(plan: Plan, join_s: float, rest: Plan) -> Replanned | MissionInfeasi
         np.concatenate([stations, rest.trajectory.station_index]),
     )
     made = _whole(plan, rest, whole, join_s)
-    return Replanned(made, join_s, False) if isinstance(made, Plan) else made
+    return Replanned(made, join_s, False, join_s) if isinstance(made, Plan) else made
 
 
-def _standing(plan: Plan, stand_s: float, rest: Plan) -> Replanned | MissionInfeasible:
+def _standing(plan: Plan, curve: Trajectory, stand_s: float, rest: Plan) -> Replanned | MissionInfeasible:
     """Brake on the path behind ``stand_s``, rest there, go on."""
-    curve = plan.trajectory
     place = np.asarray(curve.evaluate(stand_s))
     still = np.zeros(3)
     degree = max(curve.degree, rest.trajectory.degree, QUINTIC)
@@ -242,7 +293,7 @@ def _standing(plan: Plan, stand_s: float, rest: Plan) -> Replanned | MissionInfe
         if begin_s > 1e-6:
             points, durations, stations = _until(curve, begin_s)
         brake, pieces_s = _braking(curve, begin_s, stand_s, degree)
-        ends = curve.station_index[curve.segment_at([begin_s, stand_s])]
+        ends = curve.station_index[curve.segment_at(np.array([begin_s, stand_s]))]
         # Around a handover the station before it may be the one that covers all of the braking.
         for station in dict.fromkeys(ends[::-1].tolist()):
             whole = Trajectory(
@@ -252,7 +303,7 @@ def _standing(plan: Plan, stand_s: float, rest: Plan) -> Replanned | MissionInfe
             )
             made = _whole(plan, rest, whole, stand_s)
             if isinstance(made, Plan):
-                return Replanned(made, begin_s + lasts_s, True)
+                return Replanned(made, begin_s + lasts_s, True, stand_s)
             result = result or made
     assert result is not None
     return result

@@ -2,9 +2,9 @@
 
 Messages are JSON, in both directions, in the frames of `multiprocessing.connection` (no pickles). To the worker:
 ``{"task", "mission", "method", "time_limit_s", "notes"}``, or ``"replan"`` (`gcs.replan.ReplanOrder`) in place of
-``"mission"``; its answer's ``"plan"`` is a `gcs.replan.Replanned`. From it: ``{"ready"}`` once, when everything is imported and
-has planned once; then for a task any number of ``{"task", "phase", "fraction"}`` and one of ``{"task", "plan"}``,
-``{"task", "infeasible"}``, ``{"task", "malformed"}``, ``{"task", "failed"}``.
+``"mission"``; its answer's ``"plan"`` is a `gcs.replan.Replanned`. From it: ``{"ready"}`` once, when everything is
+imported and has planned once; then for a task any number of ``{"task", "phase", "fraction"}`` and one of
+``{"task", "plan"}``, ``{"task", "infeasible"}``, ``{"task", "malformed"}``, ``{"task", "failed"}``.
 
 The process ends when its parent does, even in the middle of native code (Linux kills it; elsewhere a thread looks).
 """

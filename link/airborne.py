@@ -20,7 +20,7 @@ from link.context import FlightContext
 from link.lapse import Lapse
 from link.launch import Launch
 from link.relay import TAKEOVER_SHARE, Relay
-from link.replan import NextPlan, time_and_leg
+from link.replan import STANDING_M, NextPlan, time_and_leg
 from link.setpoints import SetpointStream
 from link.stream import Reference, StraightLine
 from link.watch import LagMonitor, Lead, UplinkMonitor
@@ -43,6 +43,8 @@ REASK_S = 1.5
 LANDED_WAIT_S = 1800.0
 AT_LIMIT_M = 0.5
 """Standing this close before a limit is standing at it."""
+AT_PLACE_M = 0.005
+"""Standing this close to where a new plan begins is standing there."""
 CREEP = 0.02
 """Rate, at least, at which a return or a wait before a limit is flown when the lag monitor asks for a stop."""
 
@@ -82,6 +84,8 @@ class Airborne:
         self._at_limit = False
         self._landing_as = FlightState.COMPLETED
         self._landing_seen = False
+        self._upcoming: tuple[NextPlan, float, float] | None = None
+        """A plan to go on by from rest, its time then, and the time of the present plan to go back to first."""
 
     # -- beginning ----------------------------------------------------------------------------------------------------
 
@@ -152,10 +156,10 @@ class Airborne:
         self.reference.step(dt_s, wanted)
         self._send()
 
-    def _along_plan(self, dt_s: float, wanted: float, *, backwards: bool = False) -> None:
-        """One tick along the plan: limits, handover, setpoint."""
+    def _along_plan(self, dt_s: float, wanted: float, *, backwards: bool = False, until_s: float = math.inf) -> None:
+        """One tick along the plan, not beyond ``until_s`` of it: limits, handover, setpoint."""
         low_s, high_s = self.relay.limits(backwards=backwards)
-        high_s = min(high_s, self.authorised_until_s)
+        high_s = min(high_s, self.authorised_until_s, until_s)
         self.reference.step(dt_s, wanted, low_s=low_s, high_s=high_s)
         limit_s = low_s if backwards else high_s
         self._at_limit = (
@@ -230,6 +234,7 @@ class Airborne:
     def _lapse(self, reason: str, *, pin: bool) -> bool:
         """Fall silent. Always False."""
         self._c.alarm("lapse", reason=reason)
+        self._upcoming = None
         self.relay.forget()
         self.lag.forget()
         self.lapse.begin(self.reference.time_s if not self.line else self._join_s, pin=pin)
@@ -285,6 +290,9 @@ class Airborne:
 
     def _holding(self, dt_s: float) -> None:
         c = self._c
+        if self._upcoming is not None:
+            self._go_back(dt_s)
+            return
         waiting = self.held_for.startswith("waiting")
         backwards = self._held_state is FlightState.RETURNING
         if self.line:
@@ -307,6 +315,21 @@ class Airborne:
             self.lapse.last_resort()
         else:
             self.contingency(f"held for {waited_s:.0f} s, {self.held_for}")
+
+    def _go_back(self, dt_s: float) -> None:
+        """To the place on the path where the plan to come begins at rest, and on by it."""
+        assert self._upcoming is not None
+        upcoming, join_s, leave_s = self._upcoming
+        self._along_plan(dt_s, 0.0, until_s=leave_s)
+        there = abs(self.reference.way_m(self.reference.time_s, leave_s)) < AT_PLACE_M
+        if not there or not self.reference.stands or self.relay.moving:
+            return
+        self._upcoming = None
+        try:
+            self._exchange(upcoming, join_s)
+        except TransitionError as refusal:
+            self._c.alarm("the new plan no longer fits", reason=str(refusal))
+            self._since_s = self._c.now_s
 
     def _returning(self, dt_s: float) -> None:
         if self.line:
@@ -372,6 +395,7 @@ class Airborne:
     def contingency(self, reason: str) -> None:
         """Fly the way out in force."""
         c = self._c
+        self._upcoming = None
         c.alarm("contingency", reason=reason)
         if c.state is FlightState.LAPSED:
             self.lapse.last_resort()
@@ -411,6 +435,7 @@ class Airborne:
 
     def hold(self) -> None:
         """A person says hold: stop on the path and stay."""
+        self._upcoming = None
         if self._c.state is FlightState.HOLDING:
             self.held_for = "word"
         else:
@@ -418,25 +443,41 @@ class Airborne:
 
     def resume(self) -> None:
         """A person says resume: on from a hold; from a lapse back in, by a transit from where the vehicle is."""
+        self._upcoming = None
         if self._c.state is FlightState.LAPSED:
             self.lapse.resume()
         else:
             self._become(self._held_state, "resume")
 
-    def adopt(self, upcoming: NextPlan, join_s: float | None) -> None:
-        """A person says: fly this plan from here on. ``join_s``: its time of standing, for a flight that stands.
+    def adopt(self, upcoming: NextPlan, join_s: float | None = None, leave_s: float | None = None) -> None:
+        """A person says: fly this plan from here on.
 
-        Raises `TransitionError`, and changes nothing, where it does not fit the flight at this moment.
+        For a flight that stands, ``join_s`` is the plan's time of standing, and ``leave_s`` the time of the present
+        plan to go back to first. Raises `TransitionError`, and changes nothing, where the plan does not fit the flight.
         """
-        c = self._c
+        c, reference = self._c, self.reference
         holding = c.state is FlightState.HOLDING
         if self.line or (holding and self._held_state is not FlightState.CRUISE):
             raise TransitionError("the flight is not on its way along the plan")
         if self.relay.moving:
             raise TransitionError("control is being moved just now; say it again in a moment")
+        if join_s is None:
+            self._exchange(upcoming, None)
+            return
+        if not holding or not reference.stands:
+            raise TransitionError("the new plan begins at rest, and the flight does not stand")
+        leave_s = reference.time_s if leave_s is None else leave_s
+        if leave_s > reference.time_s and reference.way_m(reference.time_s, leave_s) > STANDING_M:
+            raise TransitionError("the new plan begins at rest further on than the flight stands")
+        time_and_leg(upcoming, self.stream, leave_s, c.plan.station_ids[self.relay.leg], join_s)
+        self._upcoming = (upcoming, join_s, leave_s)
+        self.held_for, self._since_s = "a new plan", c.now_s
+
+    def _exchange(self, upcoming: NextPlan, join_s: float | None) -> None:
+        c, present = self._c, self.reference
         station = c.plan.station_ids[self.relay.leg]
-        time_s, leg = time_and_leg(upcoming, self.reference, self.stream, station, join_s)
-        before, present = c.plan.plan_sha256, self.reference
+        time_s, leg = time_and_leg(upcoming, self.stream, present.time_s, station, join_s)
+        before = c.plan.plan_sha256
         c.plan, self.stream = upcoming.plan, upcoming.stream
         self.relay.adopt(leg)
         self.lapse.adopt(upcoming.stream)
@@ -452,7 +493,7 @@ class Airborne:
             mission_time_s=c.plan.mission_time_s,
             handovers_done=leg,
         )
-        if holding:
+        if c.state is FlightState.HOLDING:
             self._become(FlightState.CRUISE, "on by a new plan")
 
     def land(self) -> None:

@@ -79,7 +79,9 @@ class FlightCore:
         gate = TransmitterGate(encoders)
         # Stations that share a link hear the same bytes; each link has a decoder of its own.
         urls = request.urls
-        self._sharing = {url: tuple(t for t in self.stations if url in urls[t]) for s in self.stations for url in urls[s]}
+        self._sharing = {
+            url: tuple(t for t in self.stations if url in urls[t]) for s in self.stations for url in urls[s]
+        }
         self._decoders = {}
         for url, sharing in self._sharing.items():
             codec = self.codecs[sharing[0]]
@@ -312,12 +314,13 @@ class FlightCore:
         plan_sha256: str | None = None,
         upcoming: NextPlan | None = None,
         join_s: float | None = None,
+        leave_s: float | None = None,
     ) -> None:
         """A person's word.
 
         ``handover`` is the index that `Word.READY`, `Word.ACCEPT` and `Word.REFUSE` are about; ``until_s`` the time of
         the plan for `Word.AUTHORISE`. ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming``
-        (from `make_ready`) and ``join_s`` are for `Word.REPLAN`: see `link.airborne.Airborne.adopt`.
+        (from `make_ready`), ``join_s`` and ``leave_s`` are for `Word.REPLAN`: see `link.airborne.Airborne.adopt`.
 
         Raises `gcs.flight.TransitionError` (also for an unknown word) and changes nothing then.
         """
@@ -336,7 +339,7 @@ class FlightCore:
         if word is Word.REPLAN:
             if upcoming is None:
                 raise TransitionError("'replan' needs a plan made ready for this flight")
-            self.airborne.adopt(upcoming, join_s)
+            self.airborne.adopt(upcoming, join_s, leave_s)
         else:
             self._obey(word, handover or 0, until_s or 0.0, reason or by or "word")
         c.emit(EventKind.WORD, word=word.value, by=by, handover=handover, until_s=until_s, reason=reason)

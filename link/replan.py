@@ -80,21 +80,21 @@ def _unfit(plan: Plan, context: FlightContext) -> list[str]:
 
 
 def time_and_leg(
-    upcoming: NextPlan, present: Reference, stream: SetpointStream, station: str, join_s: float | None
+    upcoming: NextPlan, stream: SetpointStream, leave_s: float, station: str, join_s: float | None
 ) -> tuple[float, int]:
-    """Where on the new plan the flight goes on, and on which leg, ``station`` being in control.
+    """Where on the new plan a flight goes on that is at ``leave_s`` of the old one, and on which leg.
 
-    ``join_s`` is given for a flight that stands. Raises `TransitionError` where the plans do not meet here.
+    ``station`` is in control. ``join_s`` is given for a flight that stands. Raises `TransitionError` where the plans do
+    not meet.
     """
     if join_s is None:
-        time_s = present.time_s
+        time_s = leave_s
         _same(upcoming, stream, time_s)
     else:
         time_s = join_s
-        there, here = upcoming.stream.at(time_s), present.setpoint()
+        there, here = upcoming.stream.at(time_s), stream.at(leave_s)
         away_m = float(np.linalg.norm(np.subtract(there.position_enu_m, here.position_enu_m)))
-        moves = float(np.linalg.norm(there.velocity_enu_m_s)) > STANDING_M_S
-        if not present.stands or away_m > STANDING_M or moves:
+        if away_m > STANDING_M or float(np.linalg.norm(there.velocity_enu_m_s)) > STANDING_M_S:
             raise TransitionError("the new plan begins at rest in another place than where the flight stands")
     ids, ways = upcoming.plan.station_ids, borders(upcoming.plan)
     planned = upcoming.stream.leg_at(time_s)
