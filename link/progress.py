@@ -113,6 +113,7 @@ class Announcer:
             "mode": c.mode,
             "armed": c.armed,
             "battery_percent": c.monitor.battery_percent,
+            "handovers_done": air.relay.leg,
             "held_for": air.held_for if c.state is FlightState.HOLDING else None,
             "handovers": self.handovers_to_come()[:1],
             "links": {link.station_id: link.to_document(c.now_s) for link in c.monitor.links.values()},
