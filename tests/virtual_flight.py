@@ -89,6 +89,28 @@ def plan_home(plan: Plan, below_m: float = 5.0) -> tuple[float, float, float]:
     return float(lat), float(lon), lowest_m + plan.plane.alt_amsl_m - below_m
 
 
+def one_station_at_a_time(flight: VirtualFlight) -> None:
+    """Every setpoint obeyed was sent by the station that held the gate then, with that station's own system id.
+
+    And no two stations sent at one tick.
+    """
+    ids = {s.id: s.system_id for s in flight.core.context.plan.mission.stations}
+    assert flight.accepted
+    for setpoint in flight.accepted:
+        assert setpoint.station == setpoint.holder_when_sent
+        assert setpoint.system_id == ids[setpoint.station]
+    sent = [a.sent_s for a in flight.accepted]
+    assert len(set(sent)) == len({(a.sent_s, a.station) for a in flight.accepted}), "two stations sent at one tick"
+
+
+def handover_gaps_s(flight: VirtualFlight, around_s: float = 2.0) -> list[float]:
+    """The longest time between setpoints obeyed about each handover, in the vehicle's time."""
+    return [
+        flight.longest_gap_s(e.time_s - around_s, e.time_s + around_s)
+        for e in flight.said("handover", state="requested")
+    ]
+
+
 class VirtualFlight:
     """One flight of a plan by an autopilot's personality. `run` until it ends, or some condition holds."""
 
