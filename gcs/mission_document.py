@@ -107,7 +107,6 @@ def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Missi
     options = MissionOptions()
     if root.has("options"):
         options = _options(root.child("options", OPTION_FIELDS), [s.id for s in stations])
-    _refuse_unsupported(options, faults)
     _unique_ids("stations", [s.id for s in stations], faults)
     _unique_ids("safe_points", [p.id for p in safe_points], faults)
     _check_system_ids(stations, options.vehicle_system_id, faults)
@@ -244,16 +243,6 @@ def _objective(reader: Reader) -> str | float:
         reader.fault("objective", "must be a word or a number", "time, energy, or a weight of energy from 0 to 1")
         return "time"
     return reader.number("objective", 0.0, 1.0, "(weight of energy)")
-
-
-def _refuse_unsupported(options: MissionOptions, faults: FaultList) -> None:
-    """What the format has and no planner can do yet is refused at the door, never ignored."""
-    if options.objective != "time":
-        what = "is not supported yet: plans are made for the shortest time"
-        faults.add("options.objective", what, options.objective, '"time"', "leave it out")
-    if options.arrival_s is not None and options.start_state is not None:
-        what = "is not supported yet together with start_state"
-        faults.add("options.arrival_s", what, options.arrival_s, fix="leave one of the two out")
 
 
 def _start_state(reader: Reader) -> StartState:

@@ -11,7 +11,7 @@ from gcs.contingency import Contingency
 from gcs.errors import MissionError, PlanError
 from gcs.geodesy import Plane
 from gcs.mission import Mission
-from gcs.plan import PROJECTION, Plan, hash_of
+from gcs.plan import PROJECTION, OptionCost, Plan, hash_of
 from gcs.reading import FaultList, Reader
 from gcs.schedule import Handover
 from planner.certificate import Certificate
@@ -40,12 +40,14 @@ _FIELDS = (
     "contingencies",
     "certificate",
 )
+# There when they were asked for.
+_OPTIONAL_FIELDS = ("costs",)
 
 
 def read_plan(document: object) -> Plan:
     """The plan of a document; raises `PlanError` when its shape or its hash is not right, or its parts disagree."""
     faults = FaultList()
-    root = Reader(document, "", faults, _FIELDS)
+    root = Reader(document, "", faults, (*_FIELDS, *_OPTIONAL_FIELDS))
     _raise_first(faults)
     assert isinstance(document, Mapping)
     for key in _FIELDS:
@@ -89,6 +91,7 @@ def read_plan(document: object) -> Plan:
         planner_version=planner.text("version", 100, required=True) or "",
         iterations=planner.integer("iterations", 0, 10**9, default=0) or 0,
         notes=tuple(str(note) for note in notes),
+        costs=_read_costs(root, faults),
     )
     _raise_first(faults)
     _check_agreement(plan, document)
@@ -196,6 +199,15 @@ def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) 
                 leave_path_s=at.optional_number("leave_path_s", 0.0, _BIG, "s"),
             )
         )
+    return tuple(result)
+
+
+def _read_costs(root: Reader, faults: FaultList) -> tuple[OptionCost, ...]:
+    result = []
+    for k, item in enumerate(root.items("costs", 100)):
+        at = Reader(item, f"costs[{k}]", faults, ("option", "value", "cost_s"))
+        cost_s = at.optional_number("cost_s", -_BIG, _BIG, "s")
+        result.append(OptionCost(str(at.data.get("option")), str(at.data.get("value")), cost_s))
     return tuple(result)
 
 

@@ -126,18 +126,10 @@ def test_options_override() -> None:
             parse_option(bad)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"objective": "energy"},
-        {"objective": 0.5},
-        {"arrival_s": 100.0, "start_state": {"velocity_m_s": [1.0, 0.0, 0.0]}},
-    ],
-)
-def test_what_is_not_supported_is_refused_at_the_door(options: dict[str, Any]) -> None:
-    with pytest.raises(MissionError, match="is not supported yet") as caught:
-        Mission.from_document({**GOOD, "options": options})
-    assert len(caught.value.problems) == 1
+@pytest.mark.parametrize(("objective", "weight"), [("time", 0.0), ("energy", 1.0), (0, 0.0), (0.25, 0.25), (1, 1.0)])
+def test_the_weight_of_energy(objective: str | float, weight: float) -> None:
+    options = Mission.from_document({**GOOD, "options": {"objective": objective}}).options
+    assert options.energy_weight == weight
 
 
 # --- system ids ------------------------------------------------------------------------------------------------

@@ -455,15 +455,14 @@ def test_the_links_latency_is_led(autopilot: str) -> None:
     for limit_s in (0.0, 0.5):
         settings = {"lead_limit_s": limit_s}
         one = flight(autopilot, proxy=Proxy(seed=1, latency_s=0.2), request=settings, truth_every_s=0.1)
-        assert one.run(limit_s=300.0) is FlightState.COMPLETED
-        fast = [
-            off for off, t in zip(one.behind_m(), _cruise(one), strict=True) if 10.0 < float(t.plan_s or 0.0) < 25.0
-        ]
+        one.run(until=lambda one=one: one.plan_s >= 14.0, limit_s=100.0)  # type: ignore[misc]
+        fast = [off for off, t in zip(one.behind_m(), _cruise(one), strict=True) if float(t.plan_s or 0.0) > 8.0]
         behind[limit_s] = float(np.mean(fast))
         # What is told is what is true.
-        assert one.said("result")[0].data["tracking_rms_m"] < behind[limit_s] + 0.5
+        assert one.said("progress")[-1].data["error_m"] == pytest.approx(behind[limit_s], abs=0.5)
         assert not one.said("alarm")
-    assert behind[0.0] > 2.5
+    # About 15 m/s x 0.2 s; ArduPilot moves a late target on along its velocity by itself, a little.
+    assert 1.8 < behind[0.0] < 4.0
     assert behind[0.5] < min(1.0, 0.5 * behind[0.0])
 
 
