@@ -284,17 +284,17 @@ class Launch:
         attempt_s = attempt_time_s(c.request, 1.0 if timeout is None else float(timeout.value))
         checks: list[Check] = []
         for station in dict.fromkeys(c.plan.station_ids):
-            link, url = c.monitor.links[station], c.request.links[station]
+            link, urls = c.monitor.links[station], c.request.urls[station]
             checks += judge_link(
                 station,
-                url,
+                ", ".join(urls),
                 works=self._link_works(station),
                 same_origin=link.origin is None or c.origin is None or link.origin == c.origin,
                 required=station == first or simulated,
                 quality=link.quality(c.now_s),
                 attempt_s=attempt_s,
                 signed=c.request.signing_key is not None,
-                loopback=not c.request.allow_unsigned or is_local(url),
+                loopback=not c.request.allow_unsigned or all(is_local(url) for url in urls),
             )
         return checks
 
