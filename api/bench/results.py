@@ -42,6 +42,19 @@ class Results:
         record = self._found.get(_key(unit, mission, settings))
         return None if record is None else record["measured"]
 
+    def of(self, unit: str, mission: str) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+        """(settings, measured) of that unit on that mission, under whatever settings."""
+        mine = (r for r in self._found.values() if (r["unit"], r["mission"]) == (unit, mission))
+        return [(record["settings"], record["measured"]) for record in mine]
+
+    def machines(self) -> list[dict[str, Any]]:
+        """The different machines that what is kept was measured on, where a record says."""
+        found: list[dict[str, Any]] = []
+        for record in self._found.values():
+            if "machine" in record and record["machine"] not in found:
+                found.append(record["machine"])
+        return found
+
     def add(
         self,
         unit: str,

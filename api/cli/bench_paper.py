@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from api.cli import console
+from api.cli import console, files
+from api.cli.bench_tables import columns
 from api.cli.errors import BadInputError, FaultError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from api.bench.cases import Case
     from api.bench.paper import Settings
-    from api.bench.planner import Case
 
 EXTRA = {"fix": "pip install 'skyrelay[bench]'"}
 REDO = {"ours": ("plans",), "enumeration": ("enumeration",), "rivals": ("allocation",)}
@@ -34,13 +35,22 @@ def run_paper(
 ) -> None:
     """Measure what is missing, print the tables, draw the figures. ``guarded`` turns planners' errors into blocks."""
     from api.bench import paper
+    from api.bench.paper_page import page
+    from api.bench.planner import warm_up
     from api.bench.results import Results, ResultsError
 
     if not paper.nlopt_available():
         raise BadInputError("the paper's rivals are not installed", {"what": "six of them run in NLopt", **EXTRA})
+    for what in redo:
+        if what not in REDO:
+            raise BadInputError(
+                "an option has a value it cannot have", {"where": "--redo", "value": what, "allowed": ", ".join(REDO)}
+            )
     folder = None if figures_directory is None else _folder(figures_directory)
     try:
         results = Results(None if results_file is None else Path(results_file))
+        # The reference in cvxpy has no part in this.
+        warm_up(reference=False)
         with console.Progress(every_s=0.0) as progress:
             if results_file is not None and len(results):
                 progress.note(f"{len(results)} measurements found in {results_file}")
@@ -53,20 +63,38 @@ def run_paper(
 
             rows = guarded(lambda: paper.run(cases, settings, results, again=again, tell=tell))
             drawn = [] if folder is None else _draw(cases, rows, folder, tell)
+            machines = results.machines()
     except ResultsError as error:
         raise BadInputError("the results file cannot be used", {"where": "--results", "what": str(error)}) from None
     document = {
-        "machine": paper.machine(),
+        "machines": machines,
         "settings": {"time_limit_s": settings.time_limit_s, "rival_limit_s": settings.rival_limit_s},
         "table_3": paper.table_3(rows),
         "table_4": paper.table_4(rows),
         "summary": paper.summary(rows),
         "figures": drawn,
     }
+    if folder is not None:
+        files.write_text(page(document), str(folder / "tables.md"))
     if as_json:
         typer.echo(json.dumps(document, indent=1, allow_nan=False))
     else:
         _print(document)
+
+
+def settings_of(time_limit_s: float | None, rival_limit_s: float | None) -> Settings:
+    """The experiments' settings; None is the default. Raises `BadInputError`."""
+    from api.bench.paper import Settings
+
+    given = {"time_limit_s": time_limit_s, "rival_limit_s": rival_limit_s}
+    for name, value in given.items():
+        if value is not None and not 0.0 < value <= 86_400.0:  # NaN fails too
+            where = "--" + name.removesuffix("_s").replace("_", "-")
+            raise BadInputError(
+                "an option has a value it cannot have",
+                {"where": where, "value": f"{value:g}", "allowed": "more than 0, at most 86400 s"},
+            )
+    return Settings(**{name: value for name, value in given.items() if value is not None})
 
 
 def _folder(name: str) -> Path:
@@ -114,7 +142,7 @@ def _print(document: dict[str, Any]) -> None:
 
 
 def _table_3(rows: Sequence[dict[str, Any]]) -> Table:
-    table = _columns(
+    table = columns(
         "mission", "sequences", "pruned", "bound s", "EM s", "DC s", "ours s", "rank DC", "EM", "DC", "ours"
     )
     for row in rows:
@@ -138,7 +166,7 @@ def _table_3(rows: Sequence[dict[str, Any]]) -> Table:
 def _table_4(rows: Sequence[dict[str, Any]]) -> Table:
     from api.bench.paper import ALLOCATIONS
 
-    table = _columns("mission", "T", "P", *ALLOCATIONS, "ours")
+    table = columns("mission", "T", "P", *ALLOCATIONS, "ours")
     for row in rows:
         variables = row["variables"]
         times = [f"{row['mission_time_s'][name]:.2f}" for name in (*ALLOCATIONS, "ours")]
@@ -148,17 +176,7 @@ def _table_4(rows: Sequence[dict[str, Any]]) -> Table:
 
 def _summary(rows: Sequence[dict[str, Any]]) -> Table:
     names = list(rows[0]["gap_percent"]) if rows else []
-    table = _columns("stations", *names)
+    table = columns("stations", *names)
     for row in rows:
         table.add_row(str(row["stations"]), *(f"{row['gap_percent'][name]['mean']:.1f}" for name in names))
-    return table
-
-
-def _columns(first: str, *others: str) -> Table:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    table.add_column(first, no_wrap=True)
-    for title in others:
-        table.add_column(title, justify="right", no_wrap=True)
     return table

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,166 +14,280 @@ from api.cli import console, inputs
 from api.cli.errors import BadInputError, FaultError
 
 if TYPE_CHECKING:
-    from api.bench.planner import Case, Result
+    from api.bench.cases import Case
+
+_MISSIONS, _WHAT, _PAPER = "Which missions", "What is measured", "The seed paper's experiments"
 
 
 def bench_planner(
     missions: Annotated[
         str | None,
-        typer.Option(metavar="DIR", help="Missions (*.json) to plan; default: the 30 drawn as in the paper's Table 2."),
+        typer.Option(
+            metavar="DIR",
+            rich_help_panel=_MISSIONS,
+            help="Missions (*.json) to plan; default: the 30 drawn as in the paper's Table 2.",
+        ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
-    quick: Annotated[bool, typer.Option("--quick", help="One mission of each size.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", rich_help_panel=_MISSIONS, help="One mission of each size.")
+    ] = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", rich_help_panel=_MISSIONS, help="Only this mission, e.g. [bold]M30_01[/bold]; repeatable."
+        ),
+    ] = None,
     random: Annotated[
-        int, typer.Option(min=0, max=1000, metavar="K", help="Draw K new missions of each size instead.")
+        int,
+        typer.Option(
+            min=0, max=1000, metavar="K", rich_help_panel=_MISSIONS, help="Draw K new missions of each size instead."
+        ),
     ] = 0,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="What the draw starts from.")] = 1,
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="N", rich_help_panel=_MISSIONS, help="What every draw starts from.")
+    ] = 1,
     as_given: Annotated[
         bool,
         typer.Option(
-            "--as-given", help="Keep each mission's own options instead of the paper's (no overlap, no margin)."
+            "--as-given",
+            rich_help_panel=_MISSIONS,
+            help="Keep each mission's own options instead of the paper's (no overlap, no margin, no tenure).",
         ),
     ] = False,
+    default_options: Annotated[
+        bool,
+        typer.Option(
+            "--default-options",
+            rich_help_panel=_MISSIONS,
+            help="Plan with the overlap, margin and tenure a mission gets that asks for nothing.",
+        ),
+    ] = False,
+    ours_only: Annotated[
+        bool,
+        typer.Option("--ours-only", rich_help_panel=_WHAT, help="Without the paper's method, for many missions."),
+    ] = False,
+    segments: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,N", rich_help_panel=_WHAT, help="Instead: chains of so many stations, e.g. [bold]100,175[/bold]."
+        ),
+    ] = None,
+    routing: Annotated[
+        str | None,
+        typer.Option(
+            metavar="M,M",
+            rich_help_panel=_WHAT,
+            help="Instead: routing on maps of so many stations, e.g. [bold]1000,10000,100000[/bold].",
+        ),
+    ] = None,
+    costs: Annotated[
+        bool,
+        typer.Option(
+            "--costs", rich_help_panel=_WHAT, help="Instead: what each option and limit costs in seconds of flight."
+        ),
+    ] = False,
+    everything: Annotated[
+        bool,
+        typer.Option("--all", rich_help_panel=_WHAT, help="All of the above, one after the other; about ten minutes."),
+    ] = False,
     paper: Annotated[
-        bool, typer.Option("--paper", help="The seed paper's Tables 3 and 4 instead; an hour for all 30.")
+        bool,
+        typer.Option(
+            "--paper",
+            rich_help_panel=_PAPER,
+            help="Instead: the paper's Tables 3 and 4 beside this planner; an hour for all 30.",
+        ),
     ] = False,
     time_limit: Annotated[
         float | None,
-        typer.Option("--time-limit", metavar="S", help="With --paper: seconds for EM on a mission [60]."),
+        typer.Option("--time-limit", metavar="S", rich_help_panel=_PAPER, help="Seconds for EM on a mission [60]."),
     ] = None,
     rival_limit: Annotated[
         float | None,
-        typer.Option("--rival-limit", metavar="S", help="With --paper: seconds for each method of Table 4 [3]."),
+        typer.Option(
+            "--rival-limit", metavar="S", rich_help_panel=_PAPER, help="Seconds for each method of Table 4 [3]."
+        ),
     ] = None,
     results: Annotated[
         str | None,
-        typer.Option(metavar="FILE", help="With --paper: keep every measurement there, and go on from what is there."),
+        typer.Option(
+            metavar="FILE",
+            rich_help_panel=_PAPER,
+            help="Keep every measurement there, and go on from what is there already.",
+        ),
     ] = None,
     redo: Annotated[
         list[str] | None,
         typer.Option(
             metavar="WHAT",
-            help="With --results: measure [bold]ours[/bold] (with DC), [bold]enumeration[/bold] or "
-            "[bold]rivals[/bold] anew.",
+            rich_help_panel=_PAPER,
+            help="Measure again in spite of --results: [bold]ours[/bold] (with DC beside it), "
+            "[bold]enumeration[/bold] or [bold]rivals[/bold]; repeatable.",
         ),
     ] = None,
     figures: Annotated[
-        str | None, typer.Option(metavar="DIR", help="With --paper: draw figures like the paper's 9 to 14 there.")
+        str | None,
+        typer.Option(
+            metavar="DIR",
+            rich_help_panel=_PAPER,
+            help="Draw figures like the paper's 9 to 14 there, and write the tables as a page.",
+        ),
     ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Only missions of this name, e.g. [bold]M30_01[/bold]; may be repeated."),
-    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Plan missions with this planner and with the paper's method (through plain cvxpy), one after the other.
 
-    Shows both mission times against the bound that nothing can beat, both solve times, and their ratios. By default
-    every mission is planned under the paper's own problem: no minimum overlap, no range margin, no minimum tenure.
+    Shows mission times against the bound that nothing can beat, processor times, and their ratios. By default every
+    mission is planned under the paper's own problem: no minimum overlap, no range margin, no minimum tenure.
+    Ends with 1 when a mission that has a plan got none.
     """
+    _check_combinations(locals())
+    from api.bench import cases as bench_cases
     from api.bench import planner as bench_of
+    from api.bench.scale import SEGMENTS, STATIONS
 
-    if not bench_of.reference_available():
-        raise BadInputError(
-            "the reference is not installed",
-            {"what": "the paper's method runs through cvxpy", "fix": "pip install 'skyrelay[bench]'"},
-        )
-    _refuse_without(
-        "--paper",
-        paper,
-        {
-            "--time-limit": time_limit,
-            "--rival-limit": rival_limit,
-            "--results": results,
-            "--redo": redo,
-            "--figures": figures,
-        },
-    )
-    cases = bench_of.drawn(random, seed) if random else bench_of.fixed(_documents(missions), quick=quick)
-    cases = _only(cases, only or [])
-    bench_of.warm_up()
+    options: dict[str, Any] | None = bench_cases.PAPER_OPTIONS
+    if default_options or as_given:
+        options = bench_cases.DEFAULT_OPTIONS if default_options else None
+    chains = _counts("--segments", segments, 2, 1000) or (SEGMENTS if everything else ())
+    maps = _counts("--routing", routing, 2, 1_000_000) or (STATIONS if everything else ())
+    chosen = [] if (chains or maps) and not everything and not costs else _cases(missions, quick, only, random, seed)
     if paper:
-        from api.bench.paper import Settings
-        from api.cli.bench_paper import REDO, run_paper
+        from api.cli.bench_paper import run_paper, settings_of
 
-        for what in redo or []:
-            if what not in REDO:
-                raise BadInputError(
-                    "an option has a value it cannot have",
-                    {"where": "--redo", "value": what, "allowed": ", ".join(REDO)},
-                )
-        settings = Settings(_seconds("--time-limit", time_limit, 60.0), _seconds("--rival-limit", rival_limit, 3.0))
         run_paper(
-            cases,
-            settings,
+            chosen,
+            settings_of(time_limit, rival_limit),
             results_file=results,
             figures_directory=figures,
             redo=redo or [],
             as_json=as_json,
-            guarded=lambda work: _guarded(work, "a mission"),
+            guarded=_guarded,
         )
         return
-    measured: list[Result] = []
+    if not ours_only and not bench_of.reference_available():
+        raise BadInputError(
+            "the reference is not installed",
+            {"what": "the paper's method runs through cvxpy", "fix": "pip install 'skyrelay[bench]', or --ours-only"},
+        )
+    bench_of.warm_up(reference=not ours_only)
+    document: dict[str, Any] = {}
     with console.Progress(every_s=0.0) as progress:
-        for number, case in enumerate(cases, start=1):
-            progress.show(f"{number} of {len(cases)}: {case.name}", now=True)
-            measured.append(_measure(case, as_given))
-    document = bench_of.figures(measured)
+
+        def tell(text: str) -> None:
+            progress.show(text, now=True)
+
+        def plain(options: dict[str, Any] | None) -> dict[str, Any]:
+            measured = []
+            for number, case in enumerate(chosen, start=1):
+                tell(f"{number} of {len(chosen)}: {case.name}")
+                measured.append(_guarded(partial(bench_of.measure, case, options, reference=not ours_only), case.name))
+            return bench_of.figures(measured)
+
+        if everything or not (chains or maps or costs):
+            document |= plain(options)
+        if everything:
+            document["default_options"] = plain(bench_cases.DEFAULT_OPTIONS)
+        document |= _sections(chosen if costs or everything else [], chains, maps, seed, tell)
     if as_json:
         typer.echo(json.dumps(document, indent=1, allow_nan=False))
     else:
-        _print(document)
+        from api.cli.bench_tables import print_planner
+
+        print_planner(document)
+    planned = [*document.get("missions", []), *document.get("default_options", {}).get("missions", [])]
+    if any(row["failed"] for row in planned):
+        raise typer.Exit(1)
 
 
-def _refuse_without(what: str, given: bool, options: dict[str, object]) -> None:
-    for name, value in options.items():
-        if value is not None and not given:
-            raise BadInputError(f"{name} goes with {what}", {"where": name, "fix": f"add {what}, or leave it out"})
+def _sections(
+    for_costs: Sequence[Case], chains: Sequence[int], maps: Sequence[int], seed: int, tell: Callable[[str], None]
+) -> dict[str, Any]:
+    from api.bench.costs import measure_costs
+    from api.bench.scale import routing_row, segments_row
 
-
-def _seconds(name: str, value: float | None, default: float) -> float:
-    if value is None:
-        return default
-    if not 0.0 < value <= 86_400.0:  # NaN fails too
-        raise BadInputError(
-            "an option has a value it cannot have",
-            {"where": name, "value": f"{value:g}", "allowed": "more than 0, at most 86400 s"},
-        )
-    return value
-
-
-def _only(cases: list[Case], names: list[str]) -> list[Case]:
-    known = {case.name for case in cases}
-    for name in names:
-        if name not in known:
-            raise BadInputError(
-                "there is no such mission",
-                {"where": "--only", "value": name, "allowed": ", ".join(sorted(known))},
-            )
-    return [case for case in cases if not names or case.name in names]
-
-
-def _measure(case: Case, as_given: bool) -> Result:
-    from api.bench.planner import measure
-
-    found: Result = _guarded(lambda: measure(case, paper_options=not as_given), f"the mission {case.name}")
+    found: dict[str, Any] = {}
+    if chains:
+        found["segments"] = []
+    for count in chains:
+        tell(f"a chain of {count} stations")
+        found["segments"].append(_guarded(partial(segments_row, count, seed)))
+    if maps:
+        found["routing"] = []
+    for count in maps:
+        tell(f"routing among {count:,} stations")
+        found["routing"].append(_guarded(partial(routing_row, count, seed)))
+    if for_costs:
+        found["costs"] = _guarded(lambda: measure_costs(for_costs, tell=tell))
     return found
 
 
-def _guarded(work: Callable[[], Any], name: str) -> Any:
-    """``work()``, what it raises turned into the command line's blocks."""
-    from gcs.errors import GcsError, MissionError, MissionInfeasible
-    from planner.errors import PlannerError
+# -- what was asked for --------------------------------------------------------------------------------------------
 
-    try:
-        return work()
-    except MissionError as error:
-        raise BadInputError(f"{name} has a fault", *inputs.paragraphs(error)) from None
-    except MissionInfeasible as error:
-        raise inputs.infeasible(error) from None
-    except PlannerError as error:
-        raise BadInputError(f"the paper's method cannot plan {name}", {"what": str(error)}) from None
-    except GcsError as error:
-        raise FaultError(f"{name} could not be planned", {"what": str(error)}) from None
+
+def _check_combinations(given: dict[str, Any]) -> None:
+    """Refuse options that say two things at once, or nothing where they stand."""
+    names = {
+        "--missions": "missions",
+        "--random": "random",
+        "--quick": "quick",
+        "--as-given": "as_given",
+        "--default-options": "default_options",
+        "--ours-only": "ours_only",
+        "--segments": "segments",
+        "--routing": "routing",
+        "--costs": "costs",
+        "--all": "everything",
+        "--paper": "paper",
+        "--time-limit": "time_limit",
+        "--rival-limit": "rival_limit",
+        "--results": "results",
+        "--redo": "redo",
+        "--figures": "figures",
+    }
+    said = {option for option, name in names.items() if given[name] not in (None, False, 0, [])}
+    of_paper = ("--time-limit", "--rival-limit", "--results", "--redo", "--figures")
+    for option in of_paper:
+        if given[names[option]] is not None and "--paper" not in said:
+            raise BadInputError(f"{option} goes with --paper", {"where": option, "fix": "add --paper, or leave it out"})
+    clashes = [
+        ("--missions", ("--random",)),
+        ("--quick", ("--random",)),
+        ("--as-given", ("--default-options", "--all", "--paper", "--costs", "--segments", "--routing")),
+        ("--default-options", ("--all", "--paper", "--costs", "--segments", "--routing")),
+        ("--paper", ("--all", "--costs", "--segments", "--routing", "--ours-only")),
+        ("--ours-only", ("--costs", "--segments", "--routing")),
+    ]
+    for one, others in clashes:
+        for other in others:
+            if one in said and other in said:
+                raise BadInputError(f"{one} and {other} do not go together", {"fix": "leave one of them out"})
+
+
+def _counts(where: str, text: str | None, low: int, high: int) -> tuple[int, ...]:
+    """Numbers of a comma-separated list. Raises `BadInputError`."""
+    if text is None:
+        return ()
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and part.isascii() and low <= int(part) <= high for part in parts):
+        raise BadInputError(
+            "an option has a value it cannot have",
+            {"where": where, "value": text, "allowed": f"numbers from {low} to {high}, with commas between"},
+        )
+    return tuple(int(part) for part in parts)
+
+
+def _cases(missions: str | None, quick: bool, only: list[str] | None, random: int, seed: int) -> list[Case]:
+    from api.bench.cases import drawn, fixed
+
+    cases = drawn(random, seed) if random else fixed(_documents(missions), quick=quick)
+    known = {case.name for case in cases}
+    for name in only or []:
+        if name not in known:
+            raise BadInputError(
+                "there is no such mission", {"where": "--only", "value": name, "allowed": ", ".join(sorted(known))}
+            )
+    return [case for case in cases if not only or case.name in only]
 
 
 def _documents(directory: str | None) -> list[tuple[str, Any]]:
@@ -192,68 +306,19 @@ def _documents(directory: str | None) -> list[tuple[str, Any]]:
     return [(path.name, inputs.read_json(str(path), what="mission")) for path in paths]
 
 
-def _print(figures: dict[str, Any]) -> None:
-    from rich.table import Table
+def _guarded(work: Callable[[], Any], mission: str = "") -> Any:
+    """``work()``, what it raises turned into the command line's blocks."""
+    from gcs.errors import GcsError, MissionError, MissionInfeasible
+    from planner.errors import InfeasibleError, PlannerError
 
-    to = console.out()
-    table = Table(box=None, pad_edge=False)
-    for title in (
-        "mission",
-        "stations",
-        "bound s",
-        "ours s",
-        "over bound",
-        "solved in",
-        "paper's s",
-        "over bound",
-        "solved in",
-        "flight time",
-        "solve time",
-    ):
-        table.add_column(title, justify="left" if title == "mission" else "right", no_wrap=True)
-    for row in figures["missions"]:
-        ours, paper = row["ours"], row["paper"]
-        table.add_row(
-            row["name"],
-            str(row["stations"]),
-            f"{row['lower_bound_s']:.1f}",
-            f"{ours['mission_time_s']:.1f}",
-            f"{ours['gap_percent']:.2f} %",
-            f"{ours['solve_s']:.2f} s",
-            f"{paper['mission_time_s']:.1f}",
-            f"{paper['gap_percent']:.1f} %",
-            f"{paper['solve_s']:.2f} s",
-            f"x {row['mission_time_ratio']:.3f}",
-            f"x {row['solve_time_ratio']:.3f}",
-        )
-    to.print(table)
-    to.print()
-    table = Table(box=None, pad_edge=False, title="mean / worst by size", title_justify="left")
-    for title in (
-        "stations",
-        "missions",
-        "ours over bound",
-        "paper's over bound",
-        "ours solved in",
-        "paper's solved in",
-        "flight time ratio",
-        "solve time ratio",
-    ):
-        table.add_column(title, justify="right", no_wrap=True)
-    for row in figures["summary"]:
-
-        def pair(name: str, form: str, row: dict[str, Any] = row) -> str:
-            return f"{row[name]['mean']:{form}} / {row[name]['worst']:{form}}"
-
-        table.add_row(
-            str(row["stations"]),
-            str(row["missions"]),
-            pair("ours_gap_percent", ".2f") + " %",
-            pair("paper_gap_percent", ".1f") + " %",
-            pair("ours_solve_s", ".2f") + " s",
-            pair("paper_solve_s", ".2f") + " s",
-            pair("mission_time_ratio", ".3f"),
-            pair("solve_time_ratio", ".3f"),
-        )
-    to.print(table)
-    sys.stdout.flush()
+    name = f"the mission {mission}" if mission else "a mission"
+    try:
+        return work()
+    except MissionError as error:
+        raise BadInputError(f"{name} has a fault", *inputs.paragraphs(error)) from None
+    except MissionInfeasible as error:
+        raise inputs.infeasible(error) from None
+    except InfeasibleError as error:
+        raise BadInputError(f"{name} has no plan", {"what": str(error)}) from None
+    except (GcsError, PlannerError) as error:
+        raise FaultError(f"{name} could not be planned", {"what": str(error)}) from None

@@ -181,12 +181,12 @@ def _chord_from_rest(problem: Problem, end_m: Array, station: int, neighbour: in
     away = np.linalg.norm(problem.station_positions_m[[station, neighbour]] - end_m, axis=1)
     ranges = problem.ranges_m[[station, neighbour]]
     nearest, farthest = max(0.0, float((away - ranges).max())), float((away + ranges).min())
-    low_s, high_s = (_shortest_from_rest_s(problem, length_m) for length_m in (nearest, farthest))
+    low_s, high_s = (shortest_from_rest_s(problem, length_m) for length_m in (nearest, farthest))
     slope = (high_s - low_s) / (farthest - nearest) if farthest > nearest else 0.0
     return low_s - slope * nearest, slope * problem.limits.max_speed_m_s
 
 
-def _shortest_from_rest_s(problem: Problem, length_m: float) -> float:
+def shortest_from_rest_s(problem: Problem, length_m: float) -> float:
     """The least T with T/5 (min(v, a T/4) + min(v, 2 a T/4) + min(v, 3 a T/4)) >= length."""
     speed, accel = problem.limits.max_speed_m_s, problem.limits.max_accel_m_s2
     counts = np.arange(1, 4)
