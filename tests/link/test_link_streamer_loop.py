@@ -223,8 +223,12 @@ def test_it_serves_ticks_when_due_sends_each_frame_over_its_link_and_then_tells(
     again.close()
 
 
-def test_the_process_is_prepared_for_punctuality(bench: Bench) -> None:
+def test_the_process_is_prepared_for_punctuality(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[int] = []
+    monkeypatch.setattr(streamer_module.gc, "collect", lambda: looked.append(len(bench.core.ticks)))
+    assert bench.streamer.recorder._thread.daemon  # a fault must be able to end the process
     bench.streamer.run()
+    assert looked == [0]  # the collector's full look is taken before the first tick
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     assert gc.get_threshold() == (20_000, 20, 100_000)
     assert gc.get_freeze_count() > 0
