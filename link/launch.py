@@ -7,7 +7,7 @@ has passed; what is changed in the vehicle for the flight is lent (`link.loan`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from gcs.flight import EventKind, FlightState
@@ -284,17 +284,17 @@ class Launch:
         attempt_s = attempt_time_s(c.request, 1.0 if timeout is None else float(timeout.value))
         checks: list[Check] = []
         for station in dict.fromkeys(c.plan.station_ids):
-            link, url = c.monitor.links[station], c.request.links[station]
+            link, urls = c.monitor.links[station], _urls(c.request.links[station])
             checks += judge_link(
                 station,
-                url,
+                ", ".join(urls),
                 works=self._link_works(station),
                 same_origin=link.origin is None or c.origin is None or link.origin == c.origin,
                 required=station == first or simulated,
                 quality=link.quality(c.now_s),
                 attempt_s=attempt_s,
                 signed=c.request.signing_key is not None,
-                loopback=not c.request.allow_unsigned or is_local(url),
+                loopback=not c.request.allow_unsigned or all(map(is_local, urls)),
             )
         return checks
 
@@ -336,3 +336,8 @@ def _said(check: Check) -> str:
     required = f" (required: {check.required})" if check.required else ""
     remedy = f"; {check.remedy}" if check.remedy else ""
     return f"{check.name}: {check.message}{required}{remedy}"
+
+
+def _urls(links: str | Sequence[str]) -> tuple[str, ...]:
+    """A station's link or links."""
+    return (links,) if isinstance(links, str) else tuple(links)
