@@ -24,6 +24,8 @@ RECEIVE_BUFFER_BYTES = 4 << 20
 MAX_QUEUED_BYTES = 2048
 """TCP and serial: with more than this unsent, new frames are dropped (0.2 s at 115,200 baud)."""
 
+STREAM_SCHEMES = ("tcp", "serial")
+"""Kinds of link whose bytes come without borders between frames."""
 _SCHEMES = ("udpout", "udpin", "tcp", "serial")
 _BAUD_RATES = (1200, 4_000_000)
 

@@ -7,7 +7,7 @@ has passed; what is changed in the vehicle for the flight is lent (`link.loan`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from gcs.flight import EventKind, FlightState
@@ -51,7 +51,8 @@ SIMULATOR_PARAMETER = "SIM_SPEEDUP"
 
 STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
     (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0),
-    (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 10.0),
+    # Not a divisor of any usual rate of setpoints: else it would always show the same of two that alternate.
+    (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 9.0),
     (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
 )
 """What the station in control asks the vehicle to send, and how often, in Hz."""
@@ -284,7 +285,7 @@ class Launch:
         attempt_s = attempt_time_s(c.request, 1.0 if timeout is None else float(timeout.value))
         checks: list[Check] = []
         for station in dict.fromkeys(c.plan.station_ids):
-            link, urls = c.monitor.links[station], _urls(c.request.links[station])
+            link, urls = c.monitor.links[station], c.request.urls[station]
             checks += judge_link(
                 station,
                 ", ".join(urls),
@@ -294,7 +295,7 @@ class Launch:
                 quality=link.quality(c.now_s),
                 attempt_s=attempt_s,
                 signed=c.request.signing_key is not None,
-                loopback=not c.request.allow_unsigned or all(map(is_local, urls)),
+                loopback=not c.request.allow_unsigned or all(is_local(url) for url in urls),
             )
         return checks
 
@@ -336,8 +337,3 @@ def _said(check: Check) -> str:
     required = f" (required: {check.required})" if check.required else ""
     remedy = f"; {check.remedy}" if check.remedy else ""
     return f"{check.name}: {check.message}{required}{remedy}"
-
-
-def _urls(links: str | Sequence[str]) -> tuple[str, ...]:
-    """A station's link or links."""
-    return (links,) if isinstance(links, str) else tuple(links)

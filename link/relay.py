@@ -95,6 +95,15 @@ class Relay:
                 return True
         return False
 
+    def adopt(self, leg: int) -> None:
+        """The plan has been exchanged (`FlightContext.plan`), and the flight is on ``leg`` of the new one."""
+        self.forget()
+        self.borders = borders(self._c.plan)
+        self.leg = leg
+        # Words for handovers to come were for those of the other plan.
+        self._accepted = {index for index in self._accepted if index <= leg}
+        self._refused.clear()
+
     def forget(self) -> None:
         """Give up the handover under way: the flight lapsed."""
         self.handover = None

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+from link.carrier import LinkQuality, StationLink
 from link.dialect import mavlink
 from link.projection import EkfOrigin
 
@@ -21,11 +22,9 @@ REBOOT_BACK_S = 3.0
 """A time stamp this far behind is no reordering."""
 TEXT_CHUNK = 50
 SAME_TEXT_S = 2.0
-PROBE_MEMORY = 64
-PROBE_LOST_S = 1.0
-"""A probe unanswered for so long counts as lost."""
-PROBES_ENOUGH = 8
 OFFSET_WINDOW_S = 20.0
+
+__all__ = ["EchoTracker", "Heartbeat", "LinkQuality", "Position", "Sent", "StationLink", "VehicleMonitor"]
 
 GROUND_STATION_TYPES = (mavlink.MAV_TYPE_GCS,)
 
@@ -68,58 +67,22 @@ class Heartbeat:
         return bool(self.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
-@dataclass(frozen=True, slots=True)
-class LinkQuality:
-    """A link by its probes: share lost (there or back), mean round trip, mean change of it from one to the next."""
-
-    loss: float
-    round_trip_s: float
-    jitter_s: float
-
-
-@dataclass
-class StationLink:
-    """The health of one station's link. Times are the flight's clock, minus infinity where nothing came yet."""
-
-    station_id: str
-    heard_s: float = -math.inf
-    """Anything of the vehicle's autopilot over this link."""
-    heartbeat_s: float = -math.inf
-    proven_s: float = -math.inf
-    """When the latest frame of ours left that the vehicle has answered over this link: both directions work."""
-    round_trip_s: float | None = None
-    messages: int = 0
-    origin: EkfOrigin | None = None
-    origin_s: float = -math.inf
-    probes: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=PROBE_MEMORY))
-    trips: dict[float, float] = field(default_factory=dict)
-    """Round trip of each answered probe still in ``probes``, by when it was sent."""
-
-    def answered(self, sent_s: float, now_s: float) -> None:
-        """A frame sent at ``sent_s`` was answered at ``now_s``."""
-        self.proven_s = max(self.proven_s, sent_s)
-        trip = now_s - sent_s
-        self.round_trip_s = trip if self.round_trip_s is None else 0.8 * self.round_trip_s + 0.2 * trip
-        self.trips.setdefault(sent_s, trip)
-        if len(self.trips) > PROBE_MEMORY:
-            del self.trips[min(self.trips)]
-
-    def quality(self, now_s: float) -> LinkQuality | None:
-        """What the last probes say of this link, both ways together; None before enough are over."""
-        over = [sent_s for _, sent_s in self.probes if now_s - sent_s >= PROBE_LOST_S]
-        trips = [self.trips[sent_s] for sent_s in over if sent_s in self.trips]
-        if len(over) < PROBES_ENOUGH or not trips:
-            return None
-        jitter_s = sum(abs(b - a) for a, b in pairwise(trips)) / max(1, len(trips) - 1)
-        return LinkQuality(1.0 - len(trips) / len(over), sum(trips) / len(trips), jitter_s)
-
-
 class VehicleMonitor:
-    """Everything heard, merged. ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids."""
+    """Everything heard, merged.
 
-    def __init__(self, stations: tuple[str, ...], vehicle_system_id: int, own_system_ids: frozenset[int]) -> None:
+    ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids, ``urls`` the ways of each where
+    there are several.
+    """
+
+    def __init__(
+        self,
+        stations: tuple[str, ...],
+        vehicle_system_id: int,
+        own_system_ids: frozenset[int],
+        urls: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
         self.vehicle_system_id = vehicle_system_id
-        self.links = {station: StationLink(station) for station in stations}
+        self.links = {station: StationLink(station, (urls or {}).get(station, ("",))) for station in stations}
         self.heartbeat: Heartbeat | None = None
         self.position: Position | None = None
         self.version: Any = None
@@ -145,8 +108,11 @@ class VehicleMonitor:
 
     # -- in -----------------------------------------------------------------------------------------------------------
 
-    def receive(self, now_s: float, station_id: str, message: Any) -> bool:
-        """Take a message heard over a station's link; whether it was the vehicle's autopilot speaking."""
+    def receive(self, now_s: float, station_id: str, message: Any, url: str | None = None) -> bool:
+        """Take a message heard over a station's link; whether it was the vehicle's autopilot speaking.
+
+        ``url`` tells which of the station's ways it came over.
+        """
         system, component = message.get_srcSystem(), message.get_srcComponent()
         kind = message.get_type()
         if system != self.vehicle_system_id:
@@ -156,8 +122,12 @@ class VehicleMonitor:
         if component != AUTOPILOT_COMPONENT:
             return False
         link = self.links[station_id]
-        link.heard_s = max(link.heard_s, now_s)
-        link.messages += 1
+        carrier = link.carrier(url)
+        carrier.heard(now_s, message.get_seq())
+        if kind == "TIMESYNC":
+            if message.tc1 != 0:
+                carrier.answered(message.ts1, now_s)
+            return True
         fresh = self._in_order(now_s, getattr(message, "time_boot_ms", None))
         handler = _HANDLERS.get(kind)
         if handler is not None:
@@ -195,17 +165,23 @@ class VehicleMonitor:
             self._offset[-1] = (self._offset[-1][0], offset)
 
     def our_time_s(self, boot_s: float) -> float | None:
-        """Our clock when the vehicle's showed ``boot_s``: by the fastest message lately, so late by its delay alone."""
+        """Our clock when the vehicle's showed ``boot_s``.
+
+        By the fastest message lately, less half of the shortest round trip lately: right where there and back take
+        equally long. A message that was faster than that way's own (over another link) keeps it from being early.
+        """
         if not self._offset:
             return None
-        return boot_s + min(offset for _, offset in self._offset)
+        latencies = [c.least_latency_s for link in self.links.values() for c in link.carriers if c.round_trip_s]
+        return boot_s + min(offset for _, offset in self._offset) - min(latencies, default=0.0)
 
     def probe(self, now_s: float, station_id: str) -> Any:
-        """A TIMESYNC of a station whose answer can only be the answer to it (matched by ``ts1``)."""
+        """A TIMESYNC of a station, for all its ways; its answer can only be the answer to it (matched by ``ts1``)."""
         self._probe_count += 1
         # Nanoseconds of our clock would repeat between stations; the count cannot.
         nonce = (int(max(now_s, 0.0) * 1e6) << 20) | (self._probe_count & 0xFFFFF)
-        self.links[station_id].probes.append((nonce, now_s))
+        for carrier in self.links[station_id].carriers:
+            carrier.probed(now_s, nonce)
         return mavlink.MAVLink_timesync_message(0, nonce)
 
     # -- out ----------------------------------------------------------------------------------------------------------
@@ -249,14 +225,6 @@ class VehicleMonitor:
     def _on_target(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         if fresh:
             self.target, self.target_s = m, now_s
-
-    def _on_timesync(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        if m.tc1 == 0:
-            return
-        for nonce, sent_s in link.probes:
-            if nonce == m.ts1:
-                link.answered(sent_s, now_s)
-                return
 
     def _on_origin(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         link.origin = EkfOrigin.from_message(m)
@@ -304,7 +272,6 @@ _HANDLERS = {
     "HEARTBEAT": VehicleMonitor._on_heartbeat,
     "GLOBAL_POSITION_INT": VehicleMonitor._on_global_position,
     "POSITION_TARGET_LOCAL_NED": VehicleMonitor._on_target,
-    "TIMESYNC": VehicleMonitor._on_timesync,
     "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_origin,
     "HOME_POSITION": VehicleMonitor._on_home,
     "EXTENDED_SYS_STATE": VehicleMonitor._on_extended_state,

@@ -96,6 +96,10 @@ class FlightView:
         if kind == "alarm":
             more = ", ".join(f"{k} {v}" for k, v in data.items() if k != "what")
             return f"ALARM: {data['what']}" + (f" ({more})" if more else "")
+        if kind == "link":
+            return f"{data['station']} now sends over {data['url']} instead of {data['before']}"
+        if kind == "replanned":
+            return f"a new plan is flown, {clock(data['mission_time_s'])} in all"
         if kind == "parameter":
             return f"parameter {data['name']}: {data['before']} set to {data['after']}"
         if kind == "text":
@@ -103,6 +107,22 @@ class FlightView:
         if kind == "word":
             return f"word: {data['word']}"
         return None
+
+
+def _link_lines(link: Any) -> list[str]:
+    """One link's figures, or a line for each of a station's several."""
+    lines = []
+    for way in link.get("ways") or [link]:
+        if way.get("round_trip_ms") is None:
+            lines.append(f" ({way['url']}): never answered")
+            continue
+        sends = " (sends)" if way.get("sends") else ""
+        lines.append(
+            f" ({way['url']}){sends}: {100.0 * (way['loss'] or 0.0):.1f} % of frames lost, "
+            f"{100.0 * (way['round_loss'] or 0.0):.1f} % of probes, "
+            f"latency {way['latency_ms']:.0f} ms, jitter {way['jitter_ms']:.0f} ms"
+        )
+    return lines
 
 
 def result_lines(plan: Plan, result: FlightResult, log: str | None = None) -> list[str]:
@@ -129,6 +149,8 @@ def result_lines(plan: Plan, result: FlightResult, log: str | None = None) -> li
             f"  stream        late by {lateness['p50_ms']:.1f} ms (median), {lateness['p99_ms']:.1f} ms (99 %), "
             f"{lateness['worst_ms']:.1f} ms at worst"
         )
+    for station, link in (summary.get("links") or {}).items():
+        lines += [f"  link          {station}{text}" for text in _link_lines(link)]
     if log:
         lines.append(f"  log           {log}")
     return lines

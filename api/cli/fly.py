@@ -41,6 +41,7 @@ def fly(
         typer.Option(
             metavar="[ID=]URL",
             help="How a station reaches the vehicle; repeat it for each station, or give one URL without ID for all. "
+            "Repeated for one station: all are listened to, and one sends until it fails. "
             "udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.",
         ),
     ],
@@ -103,13 +104,17 @@ def fly(
     return 0
 
 
-def links_of(plan: Plan, given: list[str]) -> dict[str, str]:
-    """A URL for each station the plan uses, from ``ID=URL`` and bare URLs. Raises `BadInputError`."""
+def links_of(plan: Plan, given: list[str]) -> dict[str, list[str]]:
+    """The URLs of each station the plan uses or holds in reserve, from ``ID=URL`` and bare URLs.
+
+    Bare ones are for the plan's stations without any of their own. Raises `BadInputError`.
+    """
     from link.endpoint import parse_url
     from link.errors import EndpointUrlError
 
     known = {station.id for station in plan.mission.stations}
-    links: dict[str, str] = {}
+    own: dict[str, list[str]] = {}
+    everybodys: list[str] = []
     for text in given:
         try:
             parse_url(text)
@@ -127,10 +132,12 @@ def links_of(plan: Plan, given: list[str]) -> dict[str, str]:
                 parse_url(url)
             except EndpointUrlError as fault:
                 raise BadInputError("a link cannot be read", {"where": "--link", "what": str(fault)}) from None
-        for name in plan.station_ids if station is None else [station]:
-            if station is not None or name not in links:
-                links[name] = url
-    return {name: url for name, url in links.items() if name in plan.station_ids}
+        (everybodys if station is None else own.setdefault(station, [])).append(url)
+    if everybodys:
+        for name in plan.station_ids:
+            own.setdefault(name, everybodys)
+    usable = {station.id for station in plan.mission.stations if station.system_id is not None}
+    return {name: urls for name, urls in own.items() if name in usable}
 
 
 def request_of(plan: Plan, **fields: Any) -> FlightRequest:

@@ -57,7 +57,7 @@ class Bench:
         for station, works in self.up.items():
             if works:
                 link = self.c.monitor.links[station]
-                link.heard_s = link.proven_s = self.c.now_s
+                link.active.heard_s = link.active.proven_s = self.c.now_s
 
     def tick(self, to_s: float | None = None, *, backwards: bool = False) -> None:
         self.c.now_s += TICK_S
