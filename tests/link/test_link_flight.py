@@ -397,7 +397,7 @@ def test_a_restarted_autopilot_gets_nothing_more(autopilot: str) -> None:
 @BOTH
 def test_somebody_elses_targets_are_noticed_within_a_second(autopilot: str) -> None:
     # On ArduPilot the range of ids keeps the stranger out: nothing to notice.
-    # Between two of ours: in the same tick, just before ours, the vehicle would never follow it, and nothing be noticed.
+    # Between two of ours: in the same tick, just before ours, the vehicle would never follow it.
     one = in_cruise(autopilot, 5.0, config={"faults": ("stranger-streams@T20.02+5",)})
     one.run_for(30.0)
     strange = one.said("alarm", what="the vehicle holds a target that is not ours")
