@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import elementwise
 
 from gcs.ground import Ground
-from planner.coverage import coverage_window
+from planner.coverage import Stations, coverage_windows
 from planner.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -120,19 +120,9 @@ def _windows(ground: Ground, trajectory: Trajectory, stations: NDArray[np.int64]
     full = ground.full_ranges_m
 
     def around(radius: Array, *, cone: bool) -> tuple[Array, Array]:
-        windows = [
-            coverage_window(
-                trajectory,
-                at[s],
-                float(radius[s]),
-                float(t),
-                min_elevation_deg=float(lowest[s]) if cone else None,
-                slack_m=_ROUNDING_M,
-            )
-            for s, t in zip(stations, times, strict=True)
-        ]
-        early, late = np.array(windows).T
-        return early.copy(), late.copy()
+        angles = lowest[stations] if cone else None
+        covering = Stations(at[stations], radius[stations], angles)
+        return coverage_windows(trajectory, covering, times, slack_m=_ROUNDING_M)
 
     if ground.is_local:
         return around(full, cone=True)

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from gcs.errors import MissionInfeasible, PlanningFailed
+from gcs.geodesy import Plane
 from gcs.infeasible import explain, words
 from gcs.layout import LaidOut, lay_out
 from gcs.mission import Mission
@@ -53,10 +54,10 @@ class PlannerLike(Protocol):
 Run = Callable[[Problem, float], Solution]
 
 
-def laid_out(mission: Mission) -> LaidOut:
+def laid_out(mission: Mission, plane: Plane | None = None) -> LaidOut:
     """As `gcs.layout.lay_out`; a margin that leaves no range comes with the largest one that does."""
     try:
-        return lay_out(mission)
+        return lay_out(mission, plane)
     except MissionInfeasible as error:
         if error.fix is not None:
             raise

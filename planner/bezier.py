@@ -144,6 +144,42 @@ def _only_root(coefficients: list[float], tolerance: float) -> float:
     return 0.5 * (low + high)
 
 
+def only_roots(coefficients: Array, *, tolerance: float = 1e-12) -> Array:
+    """``(C,)``: the roots in [0, 1] of polynomials ``(C, n + 1)`` whose coefficients change sign exactly once each.
+
+    Newton's method for all of them together from where the control polygons cross zero, inside brackets that every
+    eighth step bisects.
+    """
+    falling = coefficients[:, 0] > 0.0
+    points = np.where(falling[:, None], -coefficients, coefficients).T
+    degree = len(points) - 1
+    low, high = np.zeros(points.shape[1]), np.ones(points.shape[1])
+    each = np.arange(points.shape[1])
+    after = (points > 0.0).argmax(axis=0)
+    left, right = points[after - 1, each], points[after, each]
+    u: Array = (after - right / (right - left)) / degree
+    settled = np.zeros(points.shape[1], dtype=bool)
+    weighted = _binomials(degree)[:, None] * points
+    steps = degree * _binomials(degree - 1)[:, None] * np.diff(points, axis=0)
+    powers = np.ones((2, degree + 1, points.shape[1]))
+    for step in range(8 * 48):
+        powers[0, 1:], powers[1, 1:] = u, 1.0 - u
+        ahead, behind = np.multiply.accumulate(powers, axis=1)
+        value = (weighted * ahead * behind[::-1]).sum(axis=0)
+        slope = (steps * ahead[:-1] * behind[-2::-1]).sum(axis=0)
+        above = value > 0.0
+        low, high = np.where(above, low, u), np.where(above, u, high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = u - value / slope
+        good = (newton >= low) & (newton <= high) & (step % 8 != 7)
+        moved = np.where(good, newton, 0.5 * (low + high))
+        settled |= np.where(good, np.abs(moved - u), high - low) <= tolerance
+        if settled.all():
+            break
+        u = np.where(settled, u, moved)
+    return u
+
+
 def _last_nonzero(points: Array) -> float:
     values = points[:, 0]
     nonzero = values[values != 0]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.coverage import coverage_window
+from planner.coverage import Stations, coverage_windows, held_s
 from planner.errors import ProblemError
 from planner.problem import Problem
 from planner.trajectory import Trajectory
@@ -116,42 +116,23 @@ def _overlap_excess_s(problem: Problem, trajectory: Trajectory) -> float:
     station's range (exact, and how overlaps are planned), and the roots of the distance, which see further.
     """
     joints = np.flatnonzero(np.diff(trajectory.station_index)) + 1
-    shortest = np.inf
-    for joint, before, after in zip(joints, trajectory.sequence, trajectory.sequence[1:], strict=False):
-        time = float(trajectory.knots_s[joint])
-        early, _ = _window(problem, trajectory, after, time)
-        _, late = _window(problem, trajectory, before, time)
-        shortest = min(
-            shortest,
-            max(time - early, _held_s(problem, trajectory, after, range(joint - 1, -1, -1))),
-            max(late - time, _held_s(problem, trajectory, before, range(joint, len(trajectory)))),
-        )
-    return 0.5 * problem.min_overlap_s - shortest if len(joints) else 0.0
+    if not len(joints):
+        return 0.0
+    sequence = np.array(trajectory.sequence)
+    before, after = _stations(problem, sequence[:-1]), _stations(problem, sequence[1:])
+    times = trajectory.knots_s[joints]
+    early, _ = coverage_windows(trajectory, after, times, slack_m=0.0)
+    _, late = coverage_windows(trajectory, before, times, slack_m=0.0)
+    ahead = np.maximum(times - early, held_s(trajectory, after, joints - 1, ahead=False))
+    behind = np.maximum(late - times, held_s(trajectory, before, joints, ahead=True))
+    return 0.5 * problem.min_overlap_s - float(min(ahead.min(), behind.min()))
 
 
-def _window(problem: Problem, trajectory: Trajectory, station: int, around_s: float) -> tuple[float, float]:
+def _stations(problem: Problem, which: NDArray[np.int64]) -> Stations:
     angles = problem.min_elevation_deg
-    return coverage_window(
-        trajectory,
-        problem.station_positions_m[station],
-        float(problem.ranges_m[station]),
-        around_s,
-        min_elevation_deg=None if angles is None else float(angles[station]),
-        slack_m=0.0,
+    return Stations(
+        problem.station_positions_m[which], problem.ranges_m[which], None if angles is None else angles[which]
     )
-
-
-def _held_s(problem: Problem, trajectory: Trajectory, station: int, segments: range) -> float:
-    """Time over the first of ``segments`` whose control points are all covered by ``station``, one after the other."""
-    total = 0.0
-    for k in segments:
-        points = trajectory.control_points_m[k]
-        if (np.linalg.norm(points - problem.station_positions_m[station], axis=-1) > problem.ranges_m[station]).any():
-            break
-        if problem.min_elevation_deg is not None and (_below_cone_m(problem, points, np.array(station)) > 0.0).any():
-            break
-        total += float(trajectory.durations_s[k])
-    return total
 
 
 def _tenure_excess_s(problem: Problem, trajectory: Trajectory) -> float:
