@@ -47,13 +47,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Run:
-    """One planner's result on one mission."""
+    """One planner's result on one mission; ``note`` is what its reader should know, e.g. that it stopped early."""
 
     mission_time_s: float
     solve_s: float
     handovers: int
     method: str
     wall_s: float = 0.0
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,9 @@ def _paper(mission: Mission) -> Run | None:
     except PlannerError:
         return None
     theirs = solution.trajectory
-    return Run(theirs.duration_s, solve_s, len(theirs.handover_times_s), solution.method, wall_s)
+    return Run(
+        theirs.duration_s, solve_s, len(theirs.handover_times_s), solution.method, wall_s, "; ".join(solution.notes)
+    )
 
 
 def figures(results: Sequence[Result]) -> dict[str, Any]:

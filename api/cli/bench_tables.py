@@ -37,12 +37,17 @@ def print_planner(document: dict[str, Any]) -> None:
     if "costs" in document:
         parts.append(("what is asked for on top of the paper's problem, and its cost", _costs(document["costs"])))
     to = console.out()
+    rows = [*document.get("missions", []), *document.get("segments", [])]
+    rows += document.get("default_options", {}).get("missions", [])
     for number, (title, table) in enumerate(parts):
         if number:
             to.print()
         if title:
             to.print(title, style="bold")
         to.print(table)
+    for row in rows:
+        if row["paper"] is not None and row["paper"]["note"]:
+            to.print(f"* {row['name']}: {row['paper']['note']}")
     sys.stdout.flush()
 
 
@@ -96,7 +101,12 @@ def _missions(rows: Sequence[dict[str, Any]]) -> Table:
 def _run(run: dict[str, Any] | None, gap: str = ".2f") -> tuple[str, str, str]:
     if run is None:
         return ("-", "-", "-")
-    return (f"{run['mission_time_s']:.1f}", f"{run['gap_percent']:{gap}} %", f"{run['solve_s']:.2f} s")
+    early = "*" if run["note"] else ""
+    return (
+        f"{run['mission_time_s']:.1f}{early}",
+        f"{run['gap_percent']:{gap}}{early} %",
+        f"{run['solve_s']:.2f}{early} s",
+    )
 
 
 def _sizes(rows: Sequence[dict[str, Any]]) -> Table:
