@@ -142,14 +142,15 @@ def _sizes(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _segments(rows: Sequence[dict[str, Any]]) -> Table:
-    titles = ("ours over bound", "solved in", "fast", "solved in", "paper's", "solved in", "solve time", "fast")
-    table = columns("stations in a row", *titles)
+    titles = ["ours over bound", "solved in", "fast", "solved in", "paper's", "solved in", "without cvxpy", "solved in"]
+    table = columns("stations in a row", *titles, "solve time", "fast")
     for row in rows:
         table.add_row(
             str(row["segments"]),
             *_run(row["ours"])[1:],
             *_run(row["fast"])[1:],
             *_run(row["paper"], ".1f")[1:],
+            *_run(row["paper_direct"], ".1f")[1:],
             _number(row["solve_time_ratio"], "x {:.3f}"),
             _number(row["fast_solve_time_ratio"], "x {:.3f}"),
         )

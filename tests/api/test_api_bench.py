@@ -148,6 +148,7 @@ def test_long_chains_and_large_maps_are_measured(cli: Cli) -> None:
     (row,) = document["segments"]
     assert (row["segments"], row["stations"], row["ours"]["handovers"]) == (12, 12, 11)
     assert 0.0 <= row["ours"]["gap_percent"] <= row["paper"]["gap_percent"]
+    assert row["paper_direct"]["gap_percent"] == pytest.approx(row["paper"]["gap_percent"], abs=2.0)
     (row,) = document["routing"]
     assert row["stations"] == 200
     # No sequence is shorter than the exact path, but for rounding; ours is hardly longer.
