@@ -20,7 +20,7 @@ import structlog
 
 from api.flight_fold import FlightFold
 from api.watchers import Changes
-from gcs.errors import ConflictError, StoreError
+from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
 from gcs.plan import Plan
 from gcs.settings import Settings
@@ -110,10 +110,14 @@ class FlightDesk:
         return self._store.flights.get(record.id)
 
     def _links(self, plan: Plan, vehicle: Mapping[str, Any]) -> dict[str, str]:
-        """A URL for each station of the plan, by the vehicle's link names."""
+        """A URL for each station of the plan, by the vehicle's link names.
+
+        And for those in reserve, which have an id in the mission and a link of their own.
+        """
         names: dict[str, str] = vehicle["links"]
         links = {}
-        for station in dict.fromkeys(plan.station_ids):
+        reserve = [s.id for s in plan.mission.stations if s.system_id is not None and s.id in names]
+        for station in dict.fromkeys([*plan.station_ids, *reserve]):
             name = names.get(station, names.get("*"))
             if name is not None:
                 links[station] = str(self._store.registry.get("link", name).document["url"])
@@ -230,6 +234,23 @@ class FlightDesk:
                 "abort this flight and make another"
             )
         flight.command(Word.LAUNCH, by=by, plan_sha256=plan_sha256)
+
+    def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:
+        """Give a flight another plan to fly from here on. Raises as `command` does."""
+        self._running(flight_id).replan(document, **fields)
+
+    def status(self, flight_id: str) -> dict[str, Any]:
+        """What the streamer says of a flight now. Raises as `command` does, but no `TransitionError`."""
+        return self._running(flight_id).status()
+
+    def replanned(self, flight_id: str, plan_sha256: str) -> dict[str, Any]:
+        """A plan that was given to a flight in the air. Raises `NotFoundError`."""
+        folder = Path(self._store.flights.get(flight_id).document.get("run_dir") or "/nonexistent")
+        try:
+            document: dict[str, Any] = json.loads((folder / f"plan-{plan_sha256}.json").read_bytes())
+        except (OSError, ValueError):
+            raise NotFoundError(f"flight {flight_id} was not given a plan {plan_sha256}") from None
+        return document
 
     def _running(self, flight_id: str) -> RunningFlight:
         watched = self._watched.get(flight_id)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible, PlanningFailed
+from gcs.geodesy import Plane
 from gcs.ground import Ground, choose_plane
 from gcs.mission import Mission
 from gcs.ranges import bound_speed_factor, height_factor, planning_elevation_deg
@@ -29,12 +30,12 @@ class LaidOut:
     stations: NDArray[np.int64]
 
 
-def lay_out(mission: Mission) -> LaidOut:
-    """The planning problem of a mission.
+def lay_out(mission: Mission, plane: Plane | None = None) -> LaidOut:
+    """The planning problem of a mission, in ``plane`` or one of its own.
 
     Raises `MissionInfeasible` when the margin leaves no station any range (without a fix) or the wind no airspeed.
     """
-    ground = Ground(mission, choose_plane(mission))
+    ground = Ground(mission, choose_plane(mission) if plane is None else plane)
     options, limits, plane = mission.options, mission.limits, ground.plane
     less_margin = ground.full_ranges_m - options.range_margin_m
     planned = ground.inner_ranges_m(less_margin)

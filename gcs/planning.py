@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gcs.contingency import contingencies
 from gcs.errors import PlanningFailed
-from gcs.ground import Ground
+from gcs.geodesy import Plane
 from gcs.layout import LaidOut, lay_out
 from gcs.mission import Mission
 from gcs.plan import Plan
@@ -52,19 +52,20 @@ def plan_mission(
     created_utc: datetime | None = None,
     notes: Sequence[str] = (),
     progress: Progress | None = None,
+    plane: Plane | None = None,
 ) -> Plan:
     """Plan a mission.
 
     ``method`` is one of `planner.Planner.plan`'s (default ``"joint"``; ``fast``: ``"fast"``). ``time_limit_s`` makes
     the result depend on the machine and is recorded. ``notes`` go into the plan. ``progress`` is called with a phase
-    and a fraction from 0 to 1.
+    and a fraction from 0 to 1. ``plane`` is where to plan, where it is not left to `gcs.ground.choose_plane`.
 
     Raises `MissionInfeasible` and `PlanningFailed`; `MissionError` when the stations flown cannot get system ids.
     """
     begin = time.perf_counter()
     tell = progress or (lambda phase, fraction: None)
     tell("preparing", 0.0)
-    laid = laid_out(mission)
+    laid = laid_out(mission, plane)
     worker = planner if planner is not None else default_planner()
     tell("planning", 0.05)
     solution = solve(laid, worker, method or ("fast" if fast else "joint"), time_limit_s)
@@ -148,8 +149,7 @@ def certify_true(laid: LaidOut, trajectory: Trajectory) -> Certificate:
 
 def recertify(plan: Plan) -> Certificate:
     """The certificate of a plan measured anew from its mission and its curve, whatever its document says."""
-    laid = lay_out(plan.mission)
-    laid = replace(laid, ground=Ground(plan.mission, plan.plane))
+    laid = lay_out(plan.mission, plan.plane)
     back = {int(station): k for k, station in enumerate(laid.stations)}
     try:
         stations = np.array([back[int(i)] for i in plan.trajectory.station_index])

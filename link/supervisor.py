@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -159,6 +159,19 @@ class RunningFlight:
         reply = self._ask({"word": str(word), **fields})
         if "error" in reply:
             raise TransitionError(str(reply["error"]))
+
+    def replan(
+        self, document: Mapping[str, Any], *, join_s: float | None = None, leave_s: float | None = None, **fields: Any
+    ) -> None:
+        """The word `replan`: fly another plan from here on (`gcs.replan.Replanned`); times for a flight that stands.
+
+        The plan's document stays in the run folder. Raises as `command` does, and ``OSError``.
+        """
+        name = str(document["plan_sha256"])
+        partial = self.run_dir / f"plan-{name}.json.partial"
+        partial.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+        partial.replace(self.run_dir / f"plan-{name}.json")
+        self.command("replan", new_plan_sha256=name, join_s=join_s, leave_s=leave_s, **fields)
 
     def status(self) -> dict[str, Any]:
         """The flight now; see `link.flight.FlightCore.status`. Raises `SupervisorError` when it cannot be reached."""

@@ -189,13 +189,3 @@ def test_the_quick_bench_prints_its_table(cli: Cli) -> None:
     assert outcome.code == 0
     for name in ("M30_01", "M100_01", "M300_01"):
         assert name in outcome.out
-
-
-def test_the_wire_layers_rates_come_beside_their_reference(cli: Cli) -> None:
-    outcome = cli("bench", "link", "--json")
-    assert (outcome.code, outcome.err) == (0, "")
-    reference, *others = json.loads(outcome.out)["rates"]
-    assert reference["per_reference"] == pytest.approx(1.0)
-    assert len(others) >= 5
-    for rate in others:
-        assert rate["per_reference"] == pytest.approx(reference["per_second"] / rate["per_second"])
