@@ -54,7 +54,10 @@ def print_planner(document: dict[str, Any]) -> None:
 def _planned(document: dict[str, Any], prefix: str) -> list[tuple[str, Table]]:
     parts = [
         (prefix + "each mission" if prefix else "", _missions(document["missions"])),
-        (prefix + "mean / worst by size; solved in processor time", _sizes(document["summary"])),
+        (
+            prefix + "mean / worst by size; solved in processor time",
+            _sizes([*document["summary"], {"stations": "all", **document["overall"]}]),
+        ),
     ]
     told = [row for row in document["missions"] if row["infeasible"] or row["failed"]]
     if told:
