@@ -52,12 +52,10 @@ def print_planner(document: dict[str, Any]) -> None:
 
 
 def _planned(document: dict[str, Any], prefix: str) -> list[tuple[str, Table]]:
+    sizes = [*document["summary"], {"stations": "all", **document["overall"]}]
     parts = [
         (prefix + "each mission" if prefix else "", _missions(document["missions"])),
-        (
-            prefix + "mean / worst by size; solved in processor time",
-            _sizes([*document["summary"], {"stations": "all", **document["overall"]}]),
-        ),
+        (prefix + "mean / worst by size; solved in processor time", _sizes(sizes)),
     ]
     told = [row for row in document["missions"] if row["infeasible"] or row["failed"]]
     if told:
