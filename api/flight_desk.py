@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import tempfile
 import threading
 import time
 from collections.abc import Mapping
@@ -21,21 +20,20 @@ import structlog
 
 from api.flight_fold import FlightFold
 from api.watchers import Changes
-from gcs.errors import ConflictError, StoreError
+from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
 from gcs.plan import Plan
 from gcs.settings import Settings
 from gcs.store import FlightRecord, Store
 from link.errors import LinkError, SupervisorError
 from link.request import FlightRequest
-from link.supervisor import MAX_SOCKET_PATH, RunningFlight, attach, start_flight
+from link.supervisor import RunningFlight, attach, start_flight
 
 log = structlog.get_logger("api.flights")
 
 # Where the vehicle is comes once a second; the history keeps one so often (wall seconds).
 _KEEP_PROGRESS_S = 5.0
 PREFLIGHT_VALID_S = 60.0
-_SOCKET_NAME_ROOM = len("/control.sock")
 
 
 class _Journal:
@@ -112,20 +110,22 @@ class FlightDesk:
         return self._store.flights.get(record.id)
 
     def _links(self, plan: Plan, vehicle: Mapping[str, Any]) -> dict[str, str]:
-        """A URL for each station of the plan, by the vehicle's link names."""
+        """A URL for each station of the plan, by the vehicle's link names.
+
+        And for those in reserve, which have an id in the mission and a link of their own.
+        """
         names: dict[str, str] = vehicle["links"]
         links = {}
-        for station in dict.fromkeys(plan.station_ids):
+        reserve = [s.id for s in plan.mission.stations if s.system_id is not None and s.id in names]
+        for station in dict.fromkeys([*plan.station_ids, *reserve]):
             name = names.get(station, names.get("*"))
             if name is not None:
                 links[station] = str(self._store.registry.get("link", name).document["url"])
         return links
 
     def _folder(self, flight_id: str) -> Path:
-        """Where a flight's streamer keeps its things; a Unix socket's path must be short."""
+        """Where a flight's streamer keeps its things."""
         folder = self._settings.data_dir / "flights" / flight_id
-        if len(str(folder)) + _SOCKET_NAME_ROOM > MAX_SOCKET_PATH:
-            return Path(tempfile.mkdtemp(prefix="skyrelay-flight-"))
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         return folder
 
@@ -234,6 +234,23 @@ class FlightDesk:
                 "abort this flight and make another"
             )
         flight.command(Word.LAUNCH, by=by, plan_sha256=plan_sha256)
+
+    def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:
+        """Give a flight another plan to fly from here on. Raises as `command` does."""
+        self._running(flight_id).replan(document, **fields)
+
+    def status(self, flight_id: str) -> dict[str, Any]:
+        """What the streamer says of a flight now. Raises as `command` does, but no `TransitionError`."""
+        return self._running(flight_id).status()
+
+    def replanned(self, flight_id: str, plan_sha256: str) -> dict[str, Any]:
+        """A plan that was given to a flight in the air. Raises `NotFoundError`."""
+        folder = Path(self._store.flights.get(flight_id).document.get("run_dir") or "/nonexistent")
+        try:
+            document: dict[str, Any] = json.loads((folder / f"plan-{plan_sha256}.json").read_bytes())
+        except (OSError, ValueError):
+            raise NotFoundError(f"flight {flight_id} was not given a plan {plan_sha256}") from None
+        return document
 
     def _running(self, flight_id: str) -> RunningFlight:
         watched = self._watched.get(flight_id)

@@ -35,6 +35,8 @@ class FlightFold:
     utc: str | None = None
     result: dict[str, Any] | None = None
     reason: str = ""
+    plan_sha256: str | None = None
+    """Of the plan taken over in the air last; None while the first is flown."""
 
     def apply(self, event: FlightEvent) -> None:
         """Take one event."""
@@ -54,6 +56,11 @@ class FlightFold:
                 self.station = _name(data.get("station"))
             case EventKind.HANDOVER:
                 self.handovers[int(data["index"])] = str(data["state"])
+            case EventKind.REPLANNED:
+                self.plan_sha256 = str(data["plan_sha256"])
+                # Handovers to come are other ones now, whatever their numbers.
+                done = int(data["handovers_done"])
+                self.handovers = {index: state for index, state in self.handovers.items() if index <= done}
             case EventKind.RETIMED:
                 self.schedule, self.shift_s = list(data["handovers"]), float(data["shift_s"])
             case EventKind.PROGRESS:
@@ -86,6 +93,7 @@ class FlightFold:
             "utc": self.utc,
             "station": self.station,
             "plan_s": here.get("plan_s"),
+            "replanned_sha256": self.plan_sha256,
             "position": {k: here[k] for k in ("lat_deg", "lon_deg", "alt_amsl_m")} if placed else None,
             "speed_m_s": here.get("speed_m_s"),
             "velocity_ned_m_s": here.get("velocity_ned_m_s"),

@@ -6,7 +6,7 @@ that describe them exist for readers and generators of clients. Small bodies are
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -437,6 +437,41 @@ class Said(Closed):
 
     by: str | None = Field(None, max_length=100)
     reason: str | None = Field(None, max_length=500)
+
+
+class ReplanWish(Said):
+    """What a new plan from the present state is to be; what is left out stays as it was planned."""
+
+    destination: dict[str, float] | None = Field(None, description="In the mission's frame, as in the mission.")
+    excluded_stations: list[Annotated[str, Field(max_length=64)]] | None = Field(
+        None, max_length=10_000, description="In place of those excluded so far."
+    )
+    ahead_s: float = Field(
+        30.0, ge=5, le=600, description="How far ahead, in flight, the new plan begins: time to plan, and to decide in."
+    )
+
+
+class ReplanProposal(Closed):
+    """A plan the flight could go on by. Nothing has changed until it is accepted.
+
+    ``join_s`` is the time of the new plan from which it is new; it must be accepted before ``decide_by_t_plus_s``
+    (null: the flight stands and waits). ``handovers`` are those to come, with the T+ expected.
+    """
+
+    plan_sha256: str
+    at_rest: bool
+    join_s: float
+    decide_by_t_plus_s: float | None
+    mission_time_s: float
+    stations: list[str]
+    handovers: list[dict[str, Any]]
+    plan: dict[str, Any]
+
+
+class ReplanWord(Said):
+    """Which proposal is accepted."""
+
+    plan_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
 
 class FlightSummary(Closed):

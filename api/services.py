@@ -15,6 +15,7 @@ from starlette.requests import HTTPConnection
 
 from api.flight_desk import FlightDesk
 from api.metrics import Metrics
+from api.replanning import Replanning
 from api.watchers import Changes
 from gcs.errors import StoreUnavailable
 from gcs.jobs import PlanningPool
@@ -66,6 +67,7 @@ class Services:
     pool: PlanningPool
     changes: Changes
     desk: FlightDesk
+    replanning: Replanning
     plans: Cache[str, Plan] = field(default_factory=lambda: Cache(16))
     facts: Cache[str, PlanFacts] = field(default_factory=lambda: Cache(10_000))
 
@@ -90,7 +92,7 @@ class Services:
                 on_change=on_change,
             )
             desk = FlightDesk(settings, store, changes)
-            services = cls(settings, metrics, store, pool, changes, desk)
+            services = cls(settings, metrics, store, pool, changes, desk, Replanning(desk, pool))
             metrics.watch_counts("skyrelay_missions", "Mission versions by status", services.mission_counts)
             metrics.watch_counts("skyrelay_planners", "Planning processes by state", pool.stats)
             metrics.watch_counts("skyrelay_flights", "Running flights by state", desk.counts)

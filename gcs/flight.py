@@ -208,6 +208,8 @@ class Word(StrEnum):
     ACCEPT = "accept"
     """As `READY`, and takes back a refusal."""
     REFUSE = "refuse"
+    REPLAN = "replan"
+    """Fly another plan, which has been made for this flight from a moment ahead (`gcs.replan`), from now on."""
     AUTHORISE = "authorise"
     """The flight may go on up to a given T+ of the plan, parent or no parent."""
 
@@ -222,6 +224,7 @@ WORDS_ALLOWED: Mapping[Word, frozenset[FlightState]] = MappingProxyType(
         Word.READY: frozenset(_S) - _ENDS,
         Word.ACCEPT: frozenset(_S) - _ENDS,
         Word.REFUSE: frozenset(_S) - _ENDS,
+        Word.REPLAN: frozenset({_S.CRUISE, _S.HOLDING}),
         Word.AUTHORISE: frozenset(_S) - _ENDS,
     }
 )
@@ -251,6 +254,10 @@ class EventKind(StrEnum):
     """A handover changed: index, from, to, state, event, reason, t_plus_s."""
     RETIMED = "retimed"
     """The schedule moved: shift_s, and the handovers still to come with their new T+."""
+    REPLANNED = "replanned"
+    """Another plan is flown from now on: plan_sha256, before, plan_s, mission_time_s, handovers_done."""
+    LINK = "link"
+    """Another of a station's ways to the vehicle sends: station, url, before."""
     WORD = "word"
     """A person spoke: word, by, handover."""
     ALARM = "alarm"

@@ -1,7 +1,8 @@
 """The planner's finding in an operator's words: stations by id, places on the earth, the smallest fix.
 
 The planner speaks of balls in the plane; a fix here is one of the mission document, so that doing what it says makes
-the mission feasible: ranges grow by what the projection's correction will take off again.
+the mission feasible: ranges grow by what the projection's correction will take off again. Every fix is carried out on
+a copy of the mission before it is offered, and the smallest comes first.
 """
 
 from __future__ import annotations
@@ -15,10 +16,17 @@ from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible
 from gcs.ground import Ground
-from gcs.ranges import range_needed_m
+from gcs.mission import Mission
+from gcs.ranges import planning_elevation_deg, range_needed_m
+from gcs.remedies import Fix, apply_fix, chains, cost_order, number
 from planner.errors import Infeasibility
 
 Array = NDArray[np.float64]
+
+# Shares by which a fix is made larger until it holds: the earth's plane shifts a little with what a fix moves.
+PADS = (0.0, 1e-9, 1e-6, 1e-4, 2e-3)
+# Above this many stations fixes are not tried.
+MAX_TRIED = 2_000
 
 
 def explain(
@@ -33,7 +41,9 @@ def explain(
     where = None
     if finding.position_m is not None:
         where = _place(ground, finding.position_m)
-    fix = None if finding.fix is None else _Remedy(ground, stations, planned_ranges_m).translate(finding.fix)
+    remedy = _Remedy(ground, stations, planned_ranges_m)
+    fixes = _fixes(mission, remedy, finding)
+    fix = {**fixes[0], "alternatives": fixes[1:]} if len(fixes) > 1 else fixes[0] if fixes else None
     return MissionInfeasible(
         finding.reason,
         _message(ground, finding, ids),
@@ -41,8 +51,52 @@ def explain(
         where=where,
         gap_m=finding.gap_m,
         fix=fix,
-        fix_text=_fix_text(finding, fix),
+        fix_text="" if fix is None else words(fix),
     )
+
+
+def _fixes(mission: Mission, remedy: _Remedy, finding: Infeasibility) -> list[Fix]:
+    """The finding's remedies as fixes of the mission that hold, and stations that need not be left out; sorted."""
+    if finding.fix is None:
+        return []
+    alternatives = finding.fix.get("alternatives", [])
+    assert isinstance(alternatives, list)
+    found = [{key: value for key, value in finding.fix.items() if key != "alternatives"}, *alternatives]
+    if len(mission.stations) > MAX_TRIED:
+        return [remedy.translate(one) for one in found]
+    holding = [fix for one in found if (fix := _holding(mission, remedy, one)) is not None]
+    for station in mission.options.excluded_stations:
+        include: Fix = {"action": "include_station", "station": station}
+        if chains(apply_fix(mission, include)):
+            holding.append(include)
+            break
+    return sorted(holding, key=cost_order)
+
+
+def _holding(mission: Mission, remedy: _Remedy, found: Mapping[str, object]) -> Fix | None:
+    """A remedy as a fix that cures the mission, made a little larger where rounding and the earth ask for it."""
+    for pad in PADS:
+        fix = remedy.translate(_padded(found, pad))
+        if chains(apply_fix(mission, fix)):
+            return fix
+    return None
+
+
+def _padded(fix: Mapping[str, object], pad: float) -> Fix:
+    larger: Fix = {
+        key: number(value) * (1.0 + pad) if key in ("by_m", "by_deg", "range_m") else value
+        for key, value in fix.items()
+    }
+    if "min_alt_m" in fix:
+        larger["min_alt_m"] = number(fix["min_alt_m"]) - pad * number(fix["by_m"])
+    if "max_alt_m" in fix:
+        larger["max_alt_m"] = number(fix["max_alt_m"]) + pad * number(fix["by_m"])
+    if "to_deg" in fix:
+        larger["to_deg"] = number(fix["to_deg"]) - pad
+    also = fix.get("also")
+    if isinstance(also, list | tuple):
+        larger["also"] = [_padded(one, pad) for one in also]
+    return larger
 
 
 def _place(ground: Ground, position_m: Sequence[float]) -> dict[str, float]:
@@ -69,13 +123,14 @@ class _Remedy:
             "widen_band": self._widen_band,
             "add_station": self._add_station,
             "raise_limit": self._raise_limit,
+            "lower_elevation": self._lower_elevation,
+            "move": self._move,
         }
         make = makers.get(str(fix.get("action")))
         result = dict(fix) if make is None else make(fix)
-        for key in ("also", "alternatives"):
-            more = fix.get(key)
-            if isinstance(more, list | tuple):
-                result[key] = [self.translate(one) for one in more]
+        also = fix.get("also")
+        if isinstance(also, list | tuple):
+            result["also"] = [self.translate(one) for one in also]
         return result
 
     def _needed_m(self, planned_m: Array) -> Array:
@@ -108,12 +163,30 @@ class _Remedy:
         return {"action": "set_altitude", "of": fix["of"], "alt_amsl_m": amsl, "by_m": number(fix["by_m"])}
 
     def _widen_band(self, fix: Mapping[str, object]) -> dict[str, object]:
-        # A wider band makes the correction of the ranges a little larger: a fiftieth more covers it.
-        by = number(fix["by_m"]) * 1.02 + 0.001
         limits = self.ground.mission.limits
         if "min_alt_m" in fix:
-            return {"action": "widen_band", "min_alt_amsl_m": limits.min_alt_amsl_m - by, "by_m": by}
-        return {"action": "widen_band", "max_alt_amsl_m": limits.max_alt_amsl_m + by, "by_m": by}
+            to = float(self.ground.plane.altitude_amsl_m(number(fix["min_alt_m"])))
+            return {"action": "widen_band", "min_alt_amsl_m": to, "by_m": limits.min_alt_amsl_m - to}
+        to = float(self.ground.plane.altitude_amsl_m(number(fix["max_alt_m"])))
+        return {"action": "widen_band", "max_alt_amsl_m": to, "by_m": to - limits.max_alt_amsl_m}
+
+    def _lower_elevation(self, fix: Mapping[str, object]) -> dict[str, object]:
+        """The angle to give, so that what the projection's correction adds to it again still leaves enough."""
+        station = int(self.stations[int(number(fix["station"]))])
+        given = self.ground.min_elevations_deg[station]
+        to = number(fix["to_deg"])
+        if not self.ground.is_local:
+            to -= float(planning_elevation_deg(0.0, self.ground.full_ranges_m[station]))
+        allowed = to if to >= 0.0 else None
+        identifier = self.ground.mission.stations[station].id
+        by = given - max(to, 0.0)
+        return {"action": "lower_elevation", "station": identifier, "to_deg": allowed, "by_deg": float(by)}
+
+    def _move(self, fix: Mapping[str, object]) -> dict[str, object]:
+        position = fix["position_m"]
+        assert isinstance(position, Sequence)
+        place = _place(self.ground, [number(x) for x in position])
+        return {"action": "move", "of": fix["of"], "position": place, "by_m": number(fix["by_m"])}
 
     def _add_station(self, fix: Mapping[str, object]) -> dict[str, object]:
         position = fix["position_m"]
@@ -140,19 +213,13 @@ class _Remedy:
         return {"action": "raise_limit", "limit": fix["limit"], "to": to}
 
 
-def number(value: object) -> float:
-    """A number out of a fix."""
-    assert isinstance(value, int | float | np.integer | np.floating)
-    return float(value)
-
-
 def _message(ground: Ground, finding: Infeasibility, ids: list[str]) -> str:
     limits, margin = ground.mission.limits, ground.mission.options.range_margin_m
     gap = None if finding.gap_m is None else f"{finding.gap_m:.1f} m"
     less = f" less the margin of {margin:g} m" if margin > 0 else ""
     end = "start" if finding.reason.startswith("start") else "destination"
     if finding.reason in ("start_uncovered", "destination_uncovered"):
-        if finding.fix is None and ids:
+        if finding.gap_m == 0.0 and ids:
             return f"The {end} is in range of {ids[0]} but below its lowest elevation."
         nearest = f"; the nearest, {ids[0]}, misses it by {gap}" if gap and ids else ""
         return f"The {end} is out of every station's range{less}{nearest}."
@@ -167,56 +234,95 @@ def _message(ground: Ground, finding: Infeasibility, ids: list[str]) -> str:
     return finding.message[:1].upper() + finding.message[1:].rstrip(".") + "."
 
 
-def _fix_text(finding: Infeasibility, fix: Mapping[str, object] | None) -> str:
-    if fix is None:
-        return ""
+def words(fix: Mapping[str, object]) -> str:
+    """A fix and its alternatives as one sentence."""
     alternatives = fix.get("alternatives")
-    texts = [_words(fix)]
-    if finding.reason in ("start_uncovered", "destination_uncovered"):
-        texts.append(f"move the {finding.reason.partition('_')[0]} into range")
-    texts += [_words(one) for one in alternatives] if isinstance(alternatives, list) else []
-    text = ", or ".join(texts)
+    texts = [_with_also(fix), *(map(_with_also, alternatives) if isinstance(alternatives, list) else ())]
+    text = "; or ".join(texts)
     return text[:1].upper() + text[1:] + "."
 
 
-def _words(fix: Mapping[str, object]) -> str:
-    """One remedy as an order; metres are rounded towards the safe side, so that what is read suffices."""
+def _with_also(fix: Mapping[str, object]) -> str:
+    also = fix.get("also")
+    return " and ".join(_order(step) for step in (fix, *(also if isinstance(also, list) else ())))
+
+
+def _order(fix: Mapping[str, object]) -> str:
+    """One remedy as an order; figures are rounded towards the safe side, so that what is read suffices."""
     match fix.get("action"):
         case "raise_range":
-            also = fix.get("also")
-            raises = [fix, *(also if isinstance(also, list) else [])]
-            return "raise the range of " + " and ".join(f"{r['station']} by {_up(r['by_m'])} m" for r in raises)
+            to = f" to {_up(fix['range_m'])} m" if "range_m" in fix else ""
+            return f"raise the range of {fix['station']} by {_up(fix['by_m'])} m{to}"
         case "raise_all_ranges":
             return f"raise every range by {_up(fix['by_m'])} m"
         case "lower_margin":
             return f"lower range_margin_m to {_down(fix['range_margin_m'])} m"
+        case "lower_option":
+            return f"lower {fix['option']} to {_down(fix['to'])} s"
         case "set_altitude":
             return f"set the altitude of the {fix['of']} to {number(fix['alt_amsl_m']):g} m AMSL"
         case "widen_band" if "min_alt_amsl_m" in fix:
             return f"lower min_alt_amsl_m to {_down(fix['min_alt_amsl_m'])} m"
         case "widen_band":
             return f"raise max_alt_amsl_m to {_up(fix['max_alt_amsl_m'])} m"
+        case "lower_elevation" if fix["to_deg"] is None:
+            return f"drop the lowest elevation of {fix['station']}"
+        case "lower_elevation":
+            return f"lower min_elevation_deg of {fix['station']} to {_down(fix['to_deg'], 100.0)} degrees"
+        case "lower_elevations":
+            return f"lower every min_elevation_deg by {_up(fix['by_deg'], 100.0)} degrees"
+        case "move":
+            return f"move the {fix['of']} by {_up(fix['by_m'])} m to {_at(fix['position'])}"
         case "add_station":
-            place = fix["position"]
-            assert isinstance(place, Mapping)
-            at = f"{place['lat_deg']:.6f}, {place['lon_deg']:.6f}"
-            if "east_m" in place:
-                at = f"east {place['east_m']:.1f} m, north {place['north_m']:.1f} m"
-            return f"add a station with a range of {_up(fix['range_m'])} m at {at}"
+            return f"add a station with a range of {_up(fix['range_m'])} m at {_at(fix['position'])}"
+        case "include_station":
+            return f"do not exclude {fix['station']}"
         case "raise_limit" if fix["limit"] == "max_handovers":
-            return f"allow {number(fix['to']):.0f} handovers (max_handovers)"
+            count = int(number(fix["to"]))
+            return f"allow {count} handover{'' if count == 1 else 's'} (max_handovers)"
         case "raise_limit":
-            return f"raise {fix['limit']} to {_up(fix['to'])}"
+            return f"raise {fix['limit']} to {_up(fix['to'], _DIGITS)} {_unit(fix['limit'])}"
+        case "lower_limit":
+            return f"lower {fix['limit']} to {_down(fix['to'], _DIGITS)} {_unit(fix['limit'])}"
+        case "lower_wind":
+            return f"wait until the wind is below {_down(fix['below_m_s'])} m/s"
         case "lower_start_speed":
-            return f"start slower than {number(fix['below_m_s']):.1f} m/s, or where there is more room"
+            return f"start at {_down(fix['below_m_s'], _DIGITS)} m/s or less in the same direction"
+        case "later_arrival":
+            return f"ask for arrival_s of {_up(fix['arrival_s'])} s or later"
+        case "earlier_arrival":
+            return f"ask for arrival_s of {_down(fix['arrival_s'])} s or earlier"
         case action:
             rest = ", ".join(f"{key} {value}" for key, value in fix.items() if key not in ("action", "alternatives"))
             return f"{str(action).replace('_', ' ')} {rest}".strip()
 
 
-def _up(value: object) -> str:
-    return f"{math.ceil(number(value) * 10.0 - 1e-9) / 10.0:.1f}"
+_DIGITS = 100.0
 
 
-def _down(value: object) -> str:
-    return f"{math.floor(number(value) * 10.0 + 1e-9) / 10.0:.1f}"
+def _unit(limit: object) -> str:
+    """The unit a limit's name ends with."""
+    for suffix, unit in (("_m_s3", "m/s^3"), ("_m_s2", "m/s^2"), ("_m_s", "m/s"), ("_s", "s")):
+        if str(limit).endswith(suffix):
+            return unit
+    return ""
+
+
+def _at(place: object) -> str:
+    """Where something is to go, in the mission's own frame."""
+    assert isinstance(place, Mapping)
+    if "east_m" in place:
+        return f"east {place['east_m']:.1f} m, north {place['north_m']:.1f} m, up {place['up_m']:.1f} m"
+    return f"{place['lat_deg']:.6f}, {place['lon_deg']:.6f}, {place['alt_amsl_m']:.1f} m AMSL"
+
+
+def _up(value: object, digits: float = 10.0) -> str:
+    return _plain(math.ceil(number(value) * digits - 1e-9) / digits, digits)
+
+
+def _down(value: object, digits: float = 10.0) -> str:
+    return _plain(math.floor(number(value) * digits + 1e-9) / digits, digits)
+
+
+def _plain(value: float, digits: float) -> str:
+    return f"{value:.{round(math.log10(digits))}f}"

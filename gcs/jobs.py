@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from gcs.errors import GcsError, MissionError, MissionInfeasible, NotFoundError, PlanningCancelled, StoreError
+from gcs.replan import ReplanOrder
 from gcs.store import Store
 from gcs.store_missions import MissionRecord
 from gcs.store_queue import Claim
@@ -124,10 +125,16 @@ class PlanningPool:
         return done
 
     def plan(self, mission: Mapping[str, Any], **options: Any) -> Future[dict[str, Any]]:
-        """Plan a document that is not stored (a what-if, a replan in flight): see `WorkerPool.submit`."""
+        """Plan a document that is not stored (a what-if): see `WorkerPool.submit`."""
         if self.workers is None:
             raise PlanningCancelled("this service has no planning processes of its own")
         return self.workers.submit(mission, **options).future
+
+    def replan(self, order: ReplanOrder, *, limit_s: float | None = None) -> Future[dict[str, Any]]:
+        """Plan a flight under way anew: see `WorkerPool.submit_replan`."""
+        if self.workers is None:
+            raise PlanningCancelled("this service has no planning processes of its own")
+        return self.workers.submit_replan(order, limit_s=limit_s).future
 
     # --- the thread that talks to the store -----------------------------------------------------------------
 

@@ -118,6 +118,14 @@ class MissionOptions:
     start_state: StartState | None = None
     arrival_s: float | None = None
 
+    @property
+    def energy_weight(self) -> float:
+        """w of the objective (1 - w) time + w energy: 0 for ``"time"``, 1 for ``"energy"``.
+
+        Energy is in seconds of staying aloft, as `planner.energy` has it: the time itself, and manoeuvring and drag.
+        """
+        return {"time": 0.0, "energy": 1.0}[self.objective] if isinstance(self.objective, str) else self.objective
+
 
 @dataclass(frozen=True)
 class Mission:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
 import rfc8785
@@ -23,7 +23,21 @@ from planner.certificate import Certificate
 from planner.trajectory import Trajectory
 
 UNHASHED = ("plan_sha256", "solve_time_s", "created_utc")
+# In a plan's costs: all its options at once.
+TOGETHER = "together"
 PROJECTION = {"name": "aeqd", "ellipsoid": "WGS84"}
+
+
+@dataclass(frozen=True)
+class OptionCost:
+    """What an ``option`` of the mission, set to ``value`` (in words), costs: seconds the flight takes longer for it.
+
+    None: not known, no plan was found without it. See `gcs.costs`.
+    """
+
+    option: str
+    value: str
+    cost_s: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +45,7 @@ class Plan:
     """A certified plan.
 
     ``trajectory`` has station indices of ``mission.stations`` and lives in ``plane``. ``method`` and ``notes`` say
-    how it came about; ``planner_version`` is the version of this product.
+    how it came about; ``planner_version`` is the version of this product. ``costs`` are there when asked for.
     """
 
     mission: Mission
@@ -48,6 +62,7 @@ class Plan:
     planner_version: str
     iterations: int = 0
     notes: tuple[str, ...] = field(default=())
+    costs: tuple[OptionCost, ...] = ()
 
     @property
     def mission_time_s(self) -> float:
@@ -118,6 +133,7 @@ class Plan:
             "handovers": [handover.to_document() for handover in self.handovers],
             "contingencies": [contingency.to_document() for contingency in self.contingencies],
             "certificate": {"feasible": self.certificate.feasible, "worst": dict(self.certificate.worst)},
+            **({"costs": [asdict(cost) for cost in self.costs]} if self.costs else {}),
         }
 
     @classmethod

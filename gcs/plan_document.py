@@ -11,7 +11,7 @@ from gcs.contingency import Contingency
 from gcs.errors import MissionError, PlanError
 from gcs.geodesy import Plane
 from gcs.mission import Mission
-from gcs.plan import PROJECTION, Plan, hash_of
+from gcs.plan import PROJECTION, OptionCost, Plan, hash_of
 from gcs.reading import FaultList, Reader
 from gcs.schedule import Handover
 from planner.certificate import Certificate
@@ -40,12 +40,14 @@ _FIELDS = (
     "contingencies",
     "certificate",
 )
+# There when they were asked for.
+_OPTIONAL_FIELDS = ("costs",)
 
 
 def read_plan(document: object) -> Plan:
     """The plan of a document; raises `PlanError` when its shape or its hash is not right, or its parts disagree."""
     faults = FaultList()
-    root = Reader(document, "", faults, _FIELDS)
+    root = Reader(document, "", faults, (*_FIELDS, *_OPTIONAL_FIELDS))
     _raise_first(faults)
     assert isinstance(document, Mapping)
     for key in _FIELDS:
@@ -89,6 +91,7 @@ def read_plan(document: object) -> Plan:
         planner_version=planner.text("version", 100, required=True) or "",
         iterations=planner.integer("iterations", 0, 10**9, default=0) or 0,
         notes=tuple(str(note) for note in notes),
+        costs=_read_costs(root, faults),
     )
     _raise_first(faults)
     _check_agreement(plan, document)
@@ -174,7 +177,10 @@ def _read_handovers(root: Reader, index: Mapping[str, int], faults: FaultList) -
 
 
 def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) -> tuple[Contingency, ...]:
-    names = ("from_s", "to_s", "action", "safe_point", "covered", "duration_s", "straight_home_covered", "leave_path_s")
+    names = (
+        *("from_s", "to_s", "action", "safe_point", "covered", "duration_s", "straight_home_covered", "leave_path_s"),
+        *("own_return_covered", "own_return_s"),
+    )
     result = []
     for k, item in enumerate(root.items("contingencies", MAX_SEGMENTS)):
         at = Reader(item, f"contingencies[{k}]", faults, names)
@@ -184,6 +190,9 @@ def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) 
         for key in ("covered", "straight_home_covered"):
             if not isinstance(at.data.get(key), bool):
                 at.fault(key, "must be true or false")
+        own_covered = at.data.get("own_return_covered")
+        if own_covered is not None and not isinstance(own_covered, bool):
+            at.fault("own_return_covered", "must be true or false")
         result.append(
             Contingency(
                 from_s=at.number("from_s", 0.0, _BIG, "s"),
@@ -194,8 +203,19 @@ def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) 
                 duration_s=at.number("duration_s", 0.0, _BIG, "s"),
                 straight_home_covered=at.data.get("straight_home_covered") is True,
                 leave_path_s=at.optional_number("leave_path_s", 0.0, _BIG, "s"),
+                own_return_covered=own_covered if isinstance(own_covered, bool) else None,
+                own_return_s=at.optional_number("own_return_s", 0.0, _BIG, "s"),
             )
         )
+    return tuple(result)
+
+
+def _read_costs(root: Reader, faults: FaultList) -> tuple[OptionCost, ...]:
+    result = []
+    for k, item in enumerate(root.items("costs", 100)):
+        at = Reader(item, f"costs[{k}]", faults, ("option", "value", "cost_s"))
+        cost_s = at.optional_number("cost_s", -_BIG, _BIG, "s")
+        result.append(OptionCost(str(at.data.get("option")), str(at.data.get("value")), cost_s))
     return tuple(result)
 
 

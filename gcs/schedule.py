@@ -141,12 +141,14 @@ def _windows(ground: Ground, trajectory: Trajectory, stations: NDArray[np.int64]
 def _first_outside(
     ground: Ground, trajectory: Trajectory, stations: NDArray[np.int64], from_s: Array, to_s: Array, looks: int
 ) -> Array:
-    """Going from ``from_s`` (covered) to ``to_s``: where coverage is first lost, ``to_s`` where it never is."""
+    """Going from ``from_s`` to ``to_s``: where coverage is first lost, ``to_s`` where it never is.
+
+    ``from_s`` itself where there is none there: in range, but too low over the horizon.
+    """
     grid = from_s[:, None] + (to_s - from_s)[:, None] * np.linspace(0.0, 1.0, looks)
     lost = ground.outside_m(stations[:, None], trajectory.evaluate(grid)) > 0
-    lost[:, 0] = False
-    result = to_s.copy()
-    which = np.flatnonzero(lost.any(axis=1))
+    result = np.where(lost[:, 0], from_s, to_s)
+    which = np.flatnonzero(lost.any(axis=1) & ~lost[:, 0])
     if len(which):
         first = lost[which].argmax(axis=1)
         a, b = grid[which, first - 1], grid[which, first]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gcs.exports import clock
-from gcs.plan import Plan
+from gcs.plan import TOGETHER, OptionCost, Plan
 
 # Limits a certificate may speak of, with what to call them and their unit.
 _NAMES = {
@@ -53,7 +53,27 @@ def summary(plan: Plan) -> str:
         f"  plan          {plan.plan_sha256}",
     ]
     lines += [f"  note          {note}" for note in plan.notes]
+    if plan.costs:
+        lines += ["", *cost_table(plan)]
     return "\n".join(lines) + "\n"
+
+
+def cost_table(plan: Plan) -> list[str]:
+    """Lines that say what every option costs, the dearest first and all of them together last."""
+    single = sorted((c for c in plan.costs if c.option != TOGETHER), key=lambda c: -(c.cost_s or 0.0))
+    rows = [(c.option, c.value, _seconds(c)) for c in (*single, *(c for c in plan.costs if c.option == TOGETHER))]
+    widths = [max(len(row[k]) for row in rows) for k in range(3)]
+    head = "  what the options cost: seconds the flight would be faster by without each"
+    return [
+        head,
+        *(f"    {name:<{widths[0]}}  {value:<{widths[1]}}  {cost:>{widths[2]}}" for name, value, cost in rows),
+    ]
+
+
+def _seconds(cost: OptionCost) -> str:
+    if cost.cost_s is None:
+        return "not known"
+    return f"{cost.cost_s:+.1f} s" if abs(cost.cost_s) >= 0.05 else "0.0 s"
 
 
 def _left(plan: Plan, key: str) -> str:

@@ -1,9 +1,10 @@
 """A planning process: takes missions from its parent over a socket, one at a time, and sends back plans.
 
 Messages are JSON, in both directions, in the frames of `multiprocessing.connection` (no pickles). To the worker:
-``{"task", "mission", "method", "time_limit_s", "notes"}``. From it: ``{"ready"}`` once, when everything is imported and
-has planned once; then for a task any number of ``{"task", "phase", "fraction"}`` and one of ``{"task", "plan"}``,
-``{"task", "infeasible"}``, ``{"task", "malformed"}``, ``{"task", "failed"}``.
+``{"task", "mission", "method", "time_limit_s", "notes"}``, or ``"replan"`` (`gcs.replan.ReplanOrder`) in place of
+``"mission"``; its answer's ``"plan"`` is a `gcs.replan.Replanned`. From it: ``{"ready"}`` once, when everything is
+imported and has planned once; then for a task any number of ``{"task", "phase", "fraction"}`` and one of
+``{"task", "plan"}``, ``{"task", "infeasible"}``, ``{"task", "malformed"}``, ``{"task", "failed"}``.
 
 The process ends when its parent does, even in the middle of native code (Linux kills it; elsewhere a thread looks).
 """
@@ -78,6 +79,7 @@ def answer(channel: Connection[Any, Any], task: dict[str, Any]) -> None:
     from gcs.errors import MissionError, MissionInfeasible
     from gcs.mission import Mission
     from gcs.planning import plan_mission
+    from gcs.replan import ReplanOrder
 
     number = task["task"]
 
@@ -86,15 +88,17 @@ def answer(channel: Connection[Any, Any], task: dict[str, Any]) -> None:
             _send(channel, {"task": number, "phase": phase, "fraction": fraction})
 
     try:
-        mission = Mission.from_document(task["mission"], max_stations=MAX_STATIONS)
-        plan = plan_mission(
-            mission,
-            method=task.get("method"),
-            time_limit_s=task.get("time_limit_s"),
-            notes=task.get("notes", ()),
-            progress=tell,
-        )
-        result: dict[str, Any] = {"plan": plan.to_document()}
+        how = {
+            "method": task.get("method"),
+            "time_limit_s": task.get("time_limit_s"),
+            "notes": task.get("notes", ()),
+            "progress": tell,
+        }
+        if task.get("replan") is not None:
+            result: dict[str, Any] = {"plan": ReplanOrder(**task["replan"]).execute(**how).to_document()}
+        else:
+            mission = Mission.from_document(task["mission"], max_stations=MAX_STATIONS)
+            result = {"plan": plan_mission(mission, **how).to_document()}
     except MissionInfeasible as error:
         result = {"infeasible": error.to_document()}
     except MissionError as error:

@@ -33,6 +33,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from gcs.errors import Fault, MissionError, PlanningCancelled, PlanningFailed, infeasible_from_document
+from gcs.replan import ReplanOrder
 from gcs.worker import MAX_MESSAGE_BYTES
 
 log = logging.getLogger(__name__)
@@ -48,10 +49,10 @@ _BOOT = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from gcs.worke
 
 @dataclass(eq=False)
 class Job:
-    """A mission handed to the pool; ``future`` gets the plan document or the error."""
+    """A mission, or a flight to replan, handed to the pool; ``future`` gets the plan document or the error."""
 
     number: int
-    mission: Mapping[str, Any]
+    task: Mapping[str, Any]
     method: str | None
     limit_s: float
     on_progress: Progress | None
@@ -117,7 +118,16 @@ class WorkerPool:
 
         The job's future raises `MissionInfeasible`, `MissionError`, `PlanningFailed` or `PlanningCancelled`.
         """
-        job = Job(next(self._numbers), mission, method, limit_s or self._limit_s, on_progress)
+        return self._submit({"mission": mission}, method, limit_s, on_progress)
+
+    def submit_replan(self, order: ReplanOrder, *, method: str | None = None, limit_s: float | None = None) -> Job:
+        """Queue a replan; the job's future gets the document of a `gcs.replan.Replanned`, or raises as for `submit`."""
+        return self._submit({"replan": order.to_document()}, method, limit_s, None)
+
+    def _submit(
+        self, task: Mapping[str, Any], method: str | None, limit_s: float | None, on_progress: Progress | None
+    ) -> Job:
+        job = Job(next(self._numbers), task, method, limit_s or self._limit_s, on_progress)
         with self._lock:
             stopping = self._stopping
             if not stopping:
@@ -244,7 +254,7 @@ class WorkerPool:
                 if not self._waiting:
                     return
                 job = self._waiting.popleft()
-            task = {"task": job.number, "mission": job.mission, "method": job.method, "notes": job.notes}
+            task = {"task": job.number, **job.task, "method": job.method, "notes": job.notes}
             worker.job, worker.deadline_s = job, self._clock() + job.limit_s
             job.attempts += 1
             try:

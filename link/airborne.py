@@ -15,14 +15,15 @@ from __future__ import annotations
 
 import math
 
-from gcs.flight import EventKind, FlightState
+from gcs.flight import EventKind, FlightState, TransitionError
 from link.context import FlightContext
 from link.lapse import Lapse
 from link.launch import Launch
 from link.relay import TAKEOVER_SHARE, Relay
-from link.setpoints import Setpoint, SetpointStream
+from link.replan import STANDING_M, NextPlan, time_and_leg
+from link.setpoints import SetpointStream
 from link.stream import Reference, StraightLine
-from link.watch import LagMonitor, UplinkMonitor
+from link.watch import LagMonitor, Lead, UplinkMonitor
 from link.way_out import over_safe_point, way_out
 
 Vector = tuple[float, float, float]
@@ -42,6 +43,8 @@ REASK_S = 1.5
 LANDED_WAIT_S = 1800.0
 AT_LIMIT_M = 0.5
 """Standing this close before a limit is standing at it."""
+AT_PLACE_M = 0.005
+"""Standing this close to where a new plan begins is standing there."""
 CREEP = 0.02
 """Rate, at least, at which a return or a wait before a limit is flown when the lag monitor asks for a stop."""
 
@@ -54,7 +57,8 @@ class Airborne:
         self._launch = launch
         self.stream = SetpointStream(context.plan, context.request.rate_hz)
         self.relay = Relay(context)
-        self.lag = LagMonitor(context)
+        self.lead = Lead(context)
+        self.lag = LagMonitor(context, self.lead)
         self.uplink = UplinkMonitor(context)
         self.lapse = Lapse(context, self.relay, self.stream)
         self.attended = True
@@ -80,6 +84,8 @@ class Airborne:
         self._at_limit = False
         self._landing_as = FlightState.COMPLETED
         self._landing_seen = False
+        self._upcoming: tuple[NextPlan, float, float] | None = None
+        """A plan to go on by from rest, its time then, and the time of the present plan to go back to first."""
 
     # -- beginning ----------------------------------------------------------------------------------------------------
 
@@ -122,6 +128,7 @@ class Airborne:
         """One tick; ``dt_s`` since the last one, missed ticks included."""
         state = self._c.state
         self.lag.update()
+        self.lead.update(dt_s)
         self.uplink.update()
         if state is FlightState.LAPSED:
             self._lapsed()
@@ -138,18 +145,21 @@ class Airborne:
         }
         handlers[state](dt_s)
 
-    def _send(self, setpoint: Setpoint) -> None:
-        self._c.send_setpoint(setpoint)
-        self.lag.note(setpoint)
+    def _send(self) -> None:
+        """The reference as it will be when this setpoint arrives; the vehicle is judged by what it is now."""
+        now = self.reference.setpoint()
+        led_s = self.lead.seconds
+        self._c.send_setpoint(self.reference.setpoint(led_s) if led_s > 0.0 else now)
+        self.lag.note(now)
 
     def _along_line(self, dt_s: float, wanted: float) -> None:
         self.reference.step(dt_s, wanted)
-        self._send(self.reference.setpoint())
+        self._send()
 
-    def _along_plan(self, dt_s: float, wanted: float, *, backwards: bool = False) -> None:
-        """One tick along the plan: limits, handover, setpoint."""
+    def _along_plan(self, dt_s: float, wanted: float, *, backwards: bool = False, until_s: float = math.inf) -> None:
+        """One tick along the plan, not beyond ``until_s`` of it: limits, handover, setpoint."""
         low_s, high_s = self.relay.limits(backwards=backwards)
-        high_s = min(high_s, self.authorised_until_s)
+        high_s = min(high_s, self.authorised_until_s, until_s)
         self.reference.step(dt_s, wanted, low_s=low_s, high_s=high_s)
         limit_s = low_s if backwards else high_s
         self._at_limit = (
@@ -158,7 +168,7 @@ class Airborne:
             and self.reference.stands
         )
         self.relay.step(self.reference.time_s, backwards=backwards)
-        self._send(self.reference.setpoint())
+        self._send()
 
     def _keep_up(self) -> float:
         """The largest rate the vehicle follows."""
@@ -224,6 +234,7 @@ class Airborne:
     def _lapse(self, reason: str, *, pin: bool) -> bool:
         """Fall silent. Always False."""
         self._c.alarm("lapse", reason=reason)
+        self._upcoming = None
         self.relay.forget()
         self.lag.forget()
         self.lapse.begin(self.reference.time_s if not self.line else self._join_s, pin=pin)
@@ -279,6 +290,9 @@ class Airborne:
 
     def _holding(self, dt_s: float) -> None:
         c = self._c
+        if self._upcoming is not None:
+            self._go_back(dt_s)
+            return
         waiting = self.held_for.startswith("waiting")
         backwards = self._held_state is FlightState.RETURNING
         if self.line:
@@ -301,6 +315,21 @@ class Airborne:
             self.lapse.last_resort()
         else:
             self.contingency(f"held for {waited_s:.0f} s, {self.held_for}")
+
+    def _go_back(self, dt_s: float) -> None:
+        """To the place on the path where the plan to come begins at rest, and on by it."""
+        assert self._upcoming is not None
+        upcoming, join_s, leave_s = self._upcoming
+        self._along_plan(dt_s, 0.0, until_s=leave_s)
+        there = abs(self.reference.way_m(self.reference.time_s, leave_s)) < AT_PLACE_M
+        if not there or not self.reference.stands or self.relay.moving:
+            return
+        self._upcoming = None
+        try:
+            self._exchange(upcoming, join_s)
+        except TransitionError as refusal:
+            self._c.alarm("the new plan no longer fits", reason=str(refusal))
+            self._since_s = self._c.now_s
 
     def _returning(self, dt_s: float) -> None:
         if self.line:
@@ -328,7 +357,9 @@ class Airborne:
 
     def _arrived(self, dt_s: float) -> None:
         c = self._c
-        self._send(self.reference.setpoint().hold())
+        hold = self.reference.setpoint().hold()
+        c.send_setpoint(hold)
+        self.lag.note(hold)
         waited_s = c.now_s - self._since_s
         if c.plan.mission.options.on_arrival == "hold":
             if waited_s >= c.request.hold_limit_s:
@@ -364,6 +395,7 @@ class Airborne:
     def contingency(self, reason: str) -> None:
         """Fly the way out in force."""
         c = self._c
+        self._upcoming = None
         c.alarm("contingency", reason=reason)
         if c.state is FlightState.LAPSED:
             self.lapse.last_resort()
@@ -403,6 +435,7 @@ class Airborne:
 
     def hold(self) -> None:
         """A person says hold: stop on the path and stay."""
+        self._upcoming = None
         if self._c.state is FlightState.HOLDING:
             self.held_for = "word"
         else:
@@ -410,10 +443,58 @@ class Airborne:
 
     def resume(self) -> None:
         """A person says resume: on from a hold; from a lapse back in, by a transit from where the vehicle is."""
+        self._upcoming = None
         if self._c.state is FlightState.LAPSED:
             self.lapse.resume()
         else:
             self._become(self._held_state, "resume")
+
+    def adopt(self, upcoming: NextPlan, join_s: float | None = None, leave_s: float | None = None) -> None:
+        """A person says: fly this plan from here on.
+
+        For a flight that stands, ``join_s`` is the plan's time of standing, and ``leave_s`` the time of the present
+        plan to go back to first. Raises `TransitionError`, and changes nothing, where the plan does not fit the flight.
+        """
+        c, reference = self._c, self.reference
+        holding = c.state is FlightState.HOLDING
+        if self.line or (holding and self._held_state is not FlightState.CRUISE):
+            raise TransitionError("the flight is not on its way along the plan")
+        if self.relay.moving:
+            raise TransitionError("control is being moved just now; say it again in a moment")
+        if join_s is None:
+            self._exchange(upcoming, None)
+            return
+        if not holding or not reference.stands:
+            raise TransitionError("the new plan begins at rest, and the flight does not stand")
+        leave_s = reference.time_s if leave_s is None else leave_s
+        if leave_s > reference.time_s and reference.way_m(reference.time_s, leave_s) > STANDING_M:
+            raise TransitionError("the new plan begins at rest further on than the flight stands")
+        time_and_leg(upcoming, self.stream, leave_s, c.plan.station_ids[self.relay.leg], join_s)
+        self._upcoming = (upcoming, join_s, leave_s)
+        self.held_for, self._since_s = "a new plan", c.now_s
+
+    def _exchange(self, upcoming: NextPlan, join_s: float | None) -> None:
+        c, present = self._c, self.reference
+        station = c.plan.station_ids[self.relay.leg]
+        time_s, leg = time_and_leg(upcoming, self.stream, present.time_s, station, join_s)
+        before = c.plan.plan_sha256
+        c.plan, self.stream = upcoming.plan, upcoming.stream
+        self.relay.adopt(leg)
+        self.lapse.adopt(upcoming.stream)
+        self._on_plan = upcoming.reference
+        self.reference = self._on_plan.placed(time_s, present.rate)
+        self.reference.rate_change_per_s = present.rate_change_per_s
+        self._accel, self._at_limit = upcoming.plan.mission.limits.max_accel_m_s2, False
+        c.emit(
+            EventKind.REPLANNED,
+            plan_sha256=c.plan.plan_sha256,
+            before=before,
+            plan_s=round(time_s, 3),
+            mission_time_s=c.plan.mission_time_s,
+            handovers_done=leg,
+        )
+        if c.state is FlightState.HOLDING:
+            self._become(FlightState.CRUISE, "on by a new plan")
 
     def land(self) -> None:
         """A person says land: where the vehicle is."""

@@ -6,12 +6,42 @@ import contextlib
 import json
 import os
 import socket
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+SOCKET_FILE = "control.sock"
+_MAX_NAME_BYTES = 100
 
 MAX_BACKLOG_BYTES = 8 << 20
 """A client that does not read is cut off with this much unsent."""
 MAX_LINE_BYTES = 1 << 20
+
+
+@contextlib.contextmanager
+def _short(path: Path) -> Iterator[str]:
+    """A name of ``path`` that a socket's address has room for (104 to 108 bytes), whatever folder it lies in."""
+    if len(os.fsencode(path)) <= _MAX_NAME_BYTES:
+        yield str(path)
+        return
+    # Not in TMPDIR, which may be the long name itself.
+    with tempfile.TemporaryDirectory(prefix="skyrelay-", dir="/tmp") as folder:
+        shortcut = Path(folder) / "run"
+        shortcut.symlink_to(path.parent.absolute(), target_is_directory=True)
+        yield str(shortcut / path.name)
+
+
+def connect(path: Path) -> socket.socket:
+    """A blocking connection to the server on ``path``. Raises ``OSError``."""
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        with _short(path) as name:
+            connection.connect(name)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
 
 
 class _Client:
@@ -31,7 +61,8 @@ class ControlServer:
         self._path = path
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._server.setblocking(False)
-        self._server.bind(str(path))
+        with _short(path) as name:
+            self._server.bind(name)
         os.chmod(path, 0o600)
         self._server.listen(8)
         self._clients: dict[int, _Client] = {}

@@ -24,6 +24,8 @@ RECEIVE_BUFFER_BYTES = 4 << 20
 MAX_QUEUED_BYTES = 2048
 """TCP and serial: with more than this unsent, new frames are dropped (0.2 s at 115,200 baud)."""
 
+STREAM_SCHEMES = ("tcp", "serial")
+"""Kinds of link whose bytes come without borders between frames."""
 _SCHEMES = ("udpout", "udpin", "tcp", "serial")
 _BAUD_RATES = (1200, 4_000_000)
 
@@ -91,6 +93,19 @@ def parse_url(url: str) -> LinkUrl:
         name = "baud rate" if scheme == "serial" else "port"
         raise EndpointUrlError(url, f"{name} {number} is out of range, allowed is {low} to {high}")
     return LinkUrl(scheme, host, number)
+
+
+def is_local(url: str) -> bool:
+    """Whether a link's URL names this machine itself. Raises `EndpointUrlError`."""
+    parsed = parse_url(url)
+    if parsed.scheme == "serial":
+        return False
+    if parsed.host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(parsed.host.partition("%")[0]).is_loopback
+    except ValueError:
+        return False
 
 
 class Endpoint(abc.ABC):

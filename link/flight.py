@@ -17,17 +17,21 @@ from typing import Any
 
 from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word, check_word
 from link.airborne import Airborne
+from link.carrier import FAILOVER_S, IDLE_FAILOVER_S
 from link.clock import Lateness, TickGrid, UtcScale
 from link.codec import StationCodec
 from link.commands import Commander
 from link.context import VEHICLE_STATION, FlightContext, plain
 from link.dialect import mavlink
+from link.endpoint import STREAM_SCHEMES, parse_url
 from link.gate import TransmitterGate
 from link.launch import Launch
 from link.localmap import LocalMap
+from link.mission_desk import MissionDesk
 from link.parameters import ParameterClient
 from link.profiles import PROFILES
 from link.progress import Announcer
+from link.replan import NextPlan, make_ready
 from link.request import FlightRequest
 from link.steps import Refused, Steps
 from link.telemetry import EchoTracker, VehicleMonitor
@@ -64,7 +68,7 @@ class FlightCore:
     ) -> None:
         plan = request.flown_plan
         profile = PROFILES[request.autopilot]
-        self.stations = tuple(dict.fromkeys(plan.station_ids))
+        self.stations = request.stations
         system_ids = {
             s: int(plan.mission.stations[plan.mission.station_index(s)].system_id or 0) for s in self.stations
         }
@@ -74,11 +78,17 @@ class FlightCore:
         for station, codec in self.codecs.items():
             encoders[station + VEHICLE_STATION] = StationCodec(vehicle, 190, signing=codec.signing).encode
         gate = TransmitterGate(encoders)
-        # Stations that share a link hear the same bytes.
+        # Stations that share a link hear the same bytes; each link has a decoder of its own.
+        urls = request.urls
         self._sharing = {
-            s: tuple(t for t in self.stations if request.links[t] == request.links[s]) for s in self.stations
+            url: tuple(t for t in self.stations if url in urls[t]) for s in self.stations for url in urls[s]
         }
-        monitor = VehicleMonitor(self.stations, vehicle, frozenset(system_ids.values()) | {vehicle})
+        self._decoders = {}
+        for url, sharing in self._sharing.items():
+            codec = self.codecs[sharing[0]]
+            stream = parse_url(url).scheme in STREAM_SCHEMES
+            self._decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
+        monitor = VehicleMonitor(self.stations, vehicle, frozenset(system_ids.values()) | {vehicle}, urls)
         ids = {**system_ids, **{s + VEHICLE_STATION: vehicle for s in self.stations}}
         self.context = FlightContext(
             request=request,
@@ -94,7 +104,8 @@ class FlightCore:
             now_s=now_s,
         )
         self.parameters = ParameterClient(gate.send, vehicle, profile.parameter_encoding)
-        self.launch = Launch(self.context, self.parameters)
+        self.missions = MissionDesk(gate.send)
+        self.launch = Launch(self.context, self.parameters, self.missions)
         self.airborne = Airborne(self.context, self.launch)
         self.announcer = Announcer(self.context, self.airborne)
         self.lateness = Lateness()
@@ -107,6 +118,7 @@ class FlightCore:
         self._streams_leg = 0
         self._beat: dict[str, float] = {}
         self._probed: dict[str, float] = {}
+        self._near: set[str | None] = set()
 
     @property
     def state(self) -> FlightState:
@@ -120,22 +132,26 @@ class FlightCore:
 
     # -- bytes --------------------------------------------------------------------------------------------------------
 
-    def receive(self, station_id: str, data: bytes, now_s: float) -> None:
-        """Take what came in over a station's link. Never raises for what is in it."""
+    def receive(self, station_id: str, data: bytes, now_s: float, url: str | None = None) -> None:
+        """Take what came in over a station's link, or the one of its links named. Never raises for what is in it."""
         c = self.context
         c.now_s = max(c.now_s, now_s)
-        sharing = self._sharing[station_id]
-        for message in self.codecs[sharing[0]].decode(data):
+        url = url or c.monitor.links[station_id].carriers[0].url
+        for message in self._decoders[url].decode(data):
             if self._on_frame is not None:
                 self._on_frame(c.now_s, bytes(message.get_msgbuf()))
-            heard = [c.monitor.receive(c.now_s, station, message) for station in sharing]
+            heard = [c.monitor.receive(c.now_s, station, message, url) for station in self._sharing[url]]
             if not any(heard):
                 continue
             kind = message.get_type()
             if kind == "COMMAND_ACK":
                 c.commander.on_ack(c.now_s, message)
             elif kind == "PARAM_VALUE":
-                self.parameters.on_value(message)
+                parameter = self.parameters.on_value(message)
+                if c.keeper is not None and parameter is not None:
+                    c.keeper.on_value(parameter.name, parameter.value)
+            elif kind.startswith("MISSION_"):
+                self.missions.on_message(c.now_s, message)
 
     def step(self, now_s: float) -> float:
         """Serve the tick that is due, if one is; the next deadline."""
@@ -146,9 +162,13 @@ class FlightCore:
         c.now_s = max(c.now_s, now_s)
         self.lateness.add(tick.lateness_s / c.request.speedup, tick.skipped)
         if not self.finished:
+            self._choose_links()
             self._direct((1 + tick.skipped) / c.request.rate_hz)
             c.commander.step(c.now_s)
             self.parameters.step(c.now_s)
+            self.missions.step(c.now_s)
+            if c.keeper is not None and c.state.airborne:
+                c.keeper.step(c.now_s)
             self._heartbeats()
             self._probes()
         return self._grid.deadline_s
@@ -160,6 +180,13 @@ class FlightCore:
             c.emit(EventKind.TEXT, severity=severity, text=text)
         if not self.finished:
             self.announcer.update()
+
+    def routes(self, station_id: str, frame: bytes) -> tuple[str, ...]:
+        """The URLs a frame of a station goes out over: a probe over all its links, all else over the one that sends."""
+        link = self.context.monitor.links[station_id]
+        if int.from_bytes(frame[7:10], "little") == mavlink.MAVLINK_MSG_ID_TIMESYNC:
+            return tuple(carrier.url for carrier in link.carriers)
+        return (link.active.url,)
 
     def take_outgoing(self) -> list[tuple[str, bytes]]:
         """Frames to send now, in order, each with its station."""
@@ -207,7 +234,7 @@ class FlightCore:
         if self._restoring is None:
             c.gate.accompany(None)
             if c.state is FlightState.LOST or c.armed:
-                self.launch.ownership_before = None
+                self.launch.loan.forget()
             self._restoring = self.launch.restore()
         try:
             next(self._restoring)
@@ -228,6 +255,7 @@ class FlightCore:
             "tracking_rms_m": round(air.lag.rms_m, 3),
             "tracking_worst_m": round(air.lag.worst_m, 3),
             "lateness": self.lateness.to_document(),
+            "links": {link.station_id: link.to_document(c.now_s) for link in c.monitor.links.values()},
         }
 
     def _ask_for_telemetry(self) -> None:
@@ -253,9 +281,20 @@ class FlightCore:
                 self._beat[station] = c.now_s
                 c.gate.heartbeat(station, _heartbeat())
 
+    def _choose_links(self) -> None:
+        """Let another of a station's links send where it is proved and the present one is not."""
+        c = self.context
+        for link in c.monitor.links.values():
+            if len(link.carriers) == 1:
+                continue
+            near = link.station_id in self._near or not c.state.airborne
+            before = link.choose(FAILOVER_S if near else IDLE_FAILOVER_S)
+            if before and near:
+                c.emit(EventKind.LINK, station=link.station_id, url=link.active.url, before=before)
+
     def _probes(self) -> None:
         c = self.context
-        near = {c.gate.holder}
+        near = self._near = {c.gate.holder}
         every_s = PROBE_S
         if not c.state.airborne:
             # On the ground every link is to be judged within seconds, losses or not.
@@ -269,7 +308,9 @@ class FlightCore:
             due_s = FAST_PROBE_S if station in near else every_s
             if c.now_s - self._probed.get(station, -math.inf) >= due_s - 1e-6:
                 self._probed[station] = c.now_s
-                c.gate.probe(station, c.monitor.probe(c.now_s, station))
+                # A station the vehicle does not hear proves its link with the id that is always heard.
+                deaf = c.keeper is not None and station != c.gate.holder and not c.keeper.hears(station)
+                c.gate.probe(station + VEHICLE_STATION if deaf else station, c.monitor.probe(c.now_s, station))
 
     # -- words --------------------------------------------------------------------------------------------------------
 
@@ -282,11 +323,15 @@ class FlightCore:
         until_s: float | None = None,
         reason: str = "",
         plan_sha256: str | None = None,
+        upcoming: NextPlan | None = None,
+        join_s: float | None = None,
+        leave_s: float | None = None,
     ) -> None:
         """A person's word.
 
         ``handover`` is the index that `Word.READY`, `Word.ACCEPT` and `Word.REFUSE` are about; ``until_s`` the time of
-        the plan for `Word.AUTHORISE`. ``plan_sha256``, where given, must be that of the plan being flown.
+        the plan for `Word.AUTHORISE`. ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming``
+        (from `make_ready`), ``join_s`` and ``leave_s`` are for `Word.REPLAN`: see `link.airborne.Airborne.adopt`.
 
         Raises `gcs.flight.TransitionError` (also for an unknown word) and changes nothing then.
         """
@@ -302,8 +347,20 @@ class FlightCore:
             raise TransitionError(f"'{word}' needs the index of a handover")
         if word is Word.AUTHORISE and (until_s is None or not until_s >= 0.0):
             raise TransitionError("'authorise' needs until_s, a time of the plan, 0 or more")
-        self._obey(word, handover or 0, until_s or 0.0, reason or by or "word")
+        if word is Word.REPLAN:
+            if upcoming is None:
+                raise TransitionError("'replan' needs a plan made ready for this flight")
+            self.airborne.adopt(upcoming, join_s, leave_s)
+        else:
+            self._obey(word, handover or 0, until_s or 0.0, reason or by or "word")
         c.emit(EventKind.WORD, word=word.value, by=by, handover=handover, until_s=until_s, reason=reason)
+
+    def make_ready(self, document: Mapping[str, Any]) -> NextPlan:
+        """A plan document judged and prepared for `Word.REPLAN`; slow, and safe in a thread beside the flight.
+
+        Raises `TransitionError` with the reasons why this flight cannot fly it.
+        """
+        return make_ready(document, self.context, self.launch.values)
 
     def _obey(self, word: Word, handover: int, until_s: float, reason: str) -> None:
         air = self.airborne

@@ -50,6 +50,10 @@ class Lapse:
         self._told = False
         self._entry: Steps[float] | None = None
 
+    def adopt(self, stream: SetpointStream) -> None:
+        """Another plan is being flown."""
+        self._stream = stream
+
     def begin(self, plan_s: float, *, pin: bool) -> None:
         """The flight lapsed at ``plan_s`` of the plan. ``pin``: by our silence, so PX4 would take a stream up again."""
         self._plan_s, self._pin, self._since_s = plan_s, pin, self._c.now_s

@@ -26,6 +26,7 @@ class Announcer:
         self._progress_s = -math.inf
         self._shift_s = 0.0
         self._told_t0 = False
+        self._plan_sha256 = context.plan.plan_sha256
         self._behind = False
         self._foreign: dict[int, float] = {}
 
@@ -69,8 +70,9 @@ class Announcer:
         moved = abs(shift_s - self._shift_s)
         # While the flight stands the schedule slips all the time; it is told again when it goes on.
         settled = self._air.reference.rate == 1.0
-        if not self._told_t0 or (moved >= RETIMED_S and settled):
-            self._told_t0, self._shift_s = True, shift_s
+        replanned = self._plan_sha256 != self._c.plan.plan_sha256
+        if not self._told_t0 or replanned or (moved >= RETIMED_S and settled):
+            self._told_t0, self._shift_s, self._plan_sha256 = True, shift_s, self._c.plan.plan_sha256
             self._c.emit(EventKind.RETIMED, shift_s=round(shift_s, 3), handovers=self.handovers_to_come())
 
     def _tell_behind(self) -> None:
@@ -96,6 +98,8 @@ class Announcer:
             "station": station,
             "plan_s": None if air.line else round(air.reference.time_s, 3),
             "rate": round(air.reference.rate, 4),
+            "stands": air.reference.stands,
+            "lead_ms": round(air.lead.seconds * 1e3, 1),
             "lat_deg": None if position is None else position.lat_deg,
             "lon_deg": None if position is None else position.lon_deg,
             "alt_amsl_m": None if position is None else position.alt_amsl_m,
@@ -109,14 +113,8 @@ class Announcer:
             "mode": c.mode,
             "armed": c.armed,
             "battery_percent": c.monitor.battery_percent,
+            "handovers_done": air.relay.leg,
             "held_for": air.held_for if c.state is FlightState.HOLDING else None,
             "handovers": self.handovers_to_come()[:1],
-            "links": {
-                link.station_id: {
-                    "heard_s_ago": None if math.isinf(link.heard_s) else round(c.now_s - link.heard_s, 2),
-                    "proven_s_ago": None if math.isinf(link.proven_s) else round(c.now_s - link.proven_s, 2),
-                    "round_trip_ms": None if link.round_trip_s is None else round(link.round_trip_s * 1e3, 1),
-                }
-                for link in c.monitor.links.values()
-            },
+            "links": {link.station_id: link.to_document(c.now_s) for link in c.monitor.links.values()},
         }

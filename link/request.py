@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -13,7 +13,7 @@ from link.endpoint import parse_url
 from link.errors import EndpointUrlError, FlightRequestError
 from link.profiles import PROFILES
 
-HANDOVER_WAYS = ("auto", "gate", "range", "operator_control")
+HANDOVER_WAYS = ("auto", "gate", "range", "parameter", "operator_control")
 """How a vehicle is told of a handover: see `link.handover`."""
 SET_PARAMETERS = ("auto", "yes", "no")
 LAST_RESORTS = ("return", "land", "stay")
@@ -24,17 +24,22 @@ MIN_START_REST_M_S = 0.01
 class FlightRequest:
     """A flight, as data that can be sent to the streamer process.
 
-    ``plan`` is the plan document, ``links`` maps each used station's id to its URL (several may share one).
+    ``plan`` is the plan document, ``links`` maps each used station's id to its URL, or to several (one sends, see
+    `link.carrier`); stations may share one. Stations of the mission that the plan does not use may have links too,
+    where they have system ids: a new plan in flight may use them then.
     Times are seconds of the flight's clock.
 
     - ``auto_launch``: go as soon as the preflight has passed; otherwise wait for the word.
     - ``authorised_until_s``: T+ of the plan up to which the flight may go on without a further word (None: all).
     - ``confirmation_time_s``: how long a handover may wait for the vehicle's evidence. A plan whose overlaps are
       shorter than this and ``overlap_guard_s`` of the way is refused.
+    - ``lead_limit_s``: by how much of the link's latency, at most, setpoints are asked for ahead; 0: not at all.
     - ``tracking_error_m``: how far beside the path the vehicle is expected at most; a plan with a smaller range margin
       is refused.
     - ``set_parameters``: whether failsafe parameters found unsafe are set (and read back): ``"auto"`` on our simulator
       alone, ``"yes"``, or ``"no"``: then the flight is refused with what to set.
+    - ``rally``: upload the mission's safe points as rally points (what the vehicle held comes back after the flight);
+      ``fence``: lay a fence around the plan for the flight.
     - ``operator_words``: each handover needs the next station's operator's word.
     - ``wait_for_station_s``: how long to stand before a station that is not ready until the contingency is flown.
     - ``hold_limit_s``: how long a hold nobody asked for lasts until the contingency is flown.
@@ -46,7 +51,7 @@ class FlightRequest:
 
     plan: Mapping[str, Any]
     autopilot: str
-    links: Mapping[str, str]
+    links: Mapping[str, str | Sequence[str]]
     rate_hz: float = 20.0
     speedup: float = 1.0
     log_path: str | None = None
@@ -56,8 +61,11 @@ class FlightRequest:
     confirmation_time_s: float = 3.0
     overlap_guard_s: float = 2.0
     tracking_error_m: float = 3.0
+    lead_limit_s: float = 0.5
     set_parameters: str = "auto"
     handover_way: str = "auto"
+    rally: bool = True
+    fence: bool = False
     operator_words: bool = False
     wait_for_station_s: float = 60.0
     hold_limit_s: float = 300.0
@@ -96,6 +104,19 @@ class FlightRequest:
         assert self._plan_object is not None
         return self._plan_object
 
+    @property
+    def urls(self) -> dict[str, tuple[str, ...]]:
+        """The URLs of each station, the first the one that sends at first."""
+        return {
+            station: (urls,) if isinstance(urls, str) else tuple(dict.fromkeys(urls))
+            for station, urls in self.links.items()
+        }
+
+    @property
+    def stations(self) -> tuple[str, ...]:
+        """Stations with a link: the plan's in flight order, then those in reserve."""
+        return tuple(dict.fromkeys([*self.flown_plan.station_ids, *self.links]))
+
     def _numbers(self) -> list[Fault]:
         limits = {
             "rate_hz": (5.0, 100.0),
@@ -103,6 +124,7 @@ class FlightRequest:
             "confirmation_time_s": (0.5, 60.0),
             "overlap_guard_s": (0.0, 60.0),
             "tracking_error_m": (0.0, 1000.0),
+            "lead_limit_s": (0.0, 0.5),
             "wait_for_station_s": (0.0, 86400.0),
             "hold_limit_s": (0.0, 86400.0),
             "connect_timeout_s": (1.0, 3600.0),
@@ -140,6 +162,10 @@ class FlightRequest:
             for name, words in allowed.items()
             if getattr(self, name) not in words
         ]
+        if self.handover_way == "parameter" and self.autopilot == "px4":
+            allowed_ways = ", ".join(way for way in HANDOVER_WAYS if way != "parameter")
+            what = "PX4 has no parameter that says whom it hears"
+            problems.append(Fault("handover_way", what, "parameter", allowed_ways, "choose gate"))
         key = self.signing_key
         if key is not None and not (key.startswith(("file:", "env:")) and len(key.split(":", 1)[1]) > 0):
             # The value is not shown: it may be the key itself.
@@ -152,19 +178,23 @@ class FlightRequest:
             for station in dict.fromkeys(plan.station_ids)
             if station not in self.links
         ]
-        for station, url in self.links.items():
-            try:
-                parse_url(url)
-            except EndpointUrlError as error:
-                problems.append(Fault(f"links.{station}", str(error)))
-            if station not in plan.station_ids:
+        with_ids = {station.id for station in plan.mission.stations if station.system_id is not None}
+        for station, urls in self.urls.items():
+            for url in urls:
+                try:
+                    parse_url(url)
+                except EndpointUrlError as error:
+                    problems.append(Fault(f"links.{station}", str(error)))
+            if not urls:
+                problems.append(Fault(f"links.{station}", "no link", None, "a link URL", "give one"))
+            if station not in with_ids:
                 problems.append(
                     Fault(
                         f"links.{station}",
-                        "the plan does not use this station",
+                        "the plan does not use this station, and it has no system id",
                         station,
-                        ", ".join(plan.station_ids),
-                        "leave it out",
+                        ", ".join(sorted(with_ids)),
+                        "leave it out, or give it an id in the mission",
                     )
                 )
         return problems
@@ -172,7 +202,7 @@ class FlightRequest:
     def to_document(self) -> dict[str, Any]:
         """As a JSON object."""
         document = {f.name: getattr(self, f.name) for f in fields(self) if not f.name.startswith("_")}
-        document["links"] = dict(self.links)
+        document["links"] = {s: urls[0] if len(urls) == 1 else list(urls) for s, urls in self.urls.items()}
         document["plan"] = dict(self.plan)
         return document
 

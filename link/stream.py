@@ -230,12 +230,17 @@ class Reference:
             return 0.0
         return math.copysign(rate, way_m)
 
-    def setpoint(self) -> Setpoint:
-        """The setpoint at this place and rate."""
-        setpoint = self.curve.at(self.time_s)
+    def setpoint(self, lead_s: float = 0.0) -> Setpoint:
+        """The setpoint at this place and rate, or where the reference will be in ``lead_s`` if the rate stays.
+
+        A lead under `APPROACH_S` does not reach past a limit that is being approached.
+        """
+        setpoint = self.curve.at(self.time_s + lead_s * self.rate)
         if self.rate == 1.0 and self.rate_change_per_s == 0.0:
             return setpoint
-        return setpoint.retimed(self.rate, self.rate_change_per_s)
+        # What is looked up moves on by this rate while the reference's own changes.
+        rate = max(-1.0, min(1.0, self.rate + lead_s * self.rate_change_per_s))
+        return setpoint.retimed(rate, self.rate_change_per_s)
 
 
 def _speeds(curve: Curve) -> tuple[Array, Array]:

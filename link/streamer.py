@@ -10,7 +10,9 @@ happens), ``result.json`` (at the end), ``pid`` and ``streamer.log``.
 
 Lines on the socket are JSON objects. In: ``{"attach": SEQUENCE}`` (events after that one are sent, then all new ones),
 ``{"id": N, "word": ..., ...}``, ``{"id": N, "status": true}``. Out: ``{"event": {...}}``, ``{"reply": N, "ok": true}``,
-``{"reply": N, "error": "..."}``, ``{"reply": N, "status": {...}}``.
+``{"reply": N, "error": "..."}``, ``{"reply": N, "status": {...}}``. The word ``replan`` names a plan by
+``new_plan_sha256`` that has been put into the run folder as ``plan-SHA256.json``; it is read and judged in a thread
+beside the flight.
 
 Timing: absolute deadlines, missed ticks skipped and counted, real-time priority where the system grants it, and the
 garbage collector's first full look taken before the flight. Logs are written by a thread of their own: a full or slow
@@ -24,6 +26,7 @@ import gc
 import json
 import os
 import queue
+import re
 import select
 import signal
 import sys
@@ -37,11 +40,12 @@ from typing import Any
 from gcs.flight import FlightEvent, TransitionError, Word
 from link.clock import FlightClock, PacedClock
 from link.codec import StationCodec
-from link.control_socket import ControlServer
+from link.control_socket import SOCKET_FILE, ControlServer
 from link.endpoint import Endpoint, open_endpoint
 from link.errors import FlightRequestError, LinkError
 from link.flight import FlightCore, FlightRequest
 from link.link_lock import LinkLocks
+from link.replan import NextPlan
 from link.signing import Signing, SigningKey
 from link.signing_store import SigningStore
 from link.tlog import TlogWriter
@@ -107,7 +111,7 @@ def make_codecs(request: FlightRequest, run_dir: Path) -> dict[str, StationCodec
         key = SigningKey.from_file(name) if kind == "file" else SigningKey.from_environment(name)
     folder = Path(request.signing_state) if request.signing_state is not None else run_dir
     codecs = {}
-    for station_id in dict.fromkeys(plan.station_ids):
+    for station_id in request.stations:
         system_id = int(plan.mission.stations[plan.mission.station_index(station_id)].system_id or 0)
         signing = None
         if key is not None:
@@ -128,10 +132,11 @@ def open_links(request: FlightRequest) -> dict[str, Endpoint]:
 
     endpoints: dict[str, Endpoint] = {}
     try:
-        for url in dict.fromkeys(request.links.values()):
+        named = [(station, url) for station, urls in request.urls.items() for url in urls]
+        for url in dict.fromkeys(url for _, url in named):
             endpoints[url] = open_endpoint(url)
         problems = []
-        for station, url in request.links.items():
+        for station, url in named:
             if endpoints[url].is_loopback:
                 continue
             if request.speedup != 1.0:
@@ -178,7 +183,7 @@ class Streamer:
         self.request = request
         self.run_dir = run_dir
         self.endpoints = open_links(request)
-        self.locks = LinkLocks(request.links.values())
+        self.locks = LinkLocks(self.endpoints)
         self.clock = FlightClock() if request.speedup == 1.0 else PacedClock(request.speedup)
         epoch_unix_s = time.time()
         self.recorder = Recorder(run_dir, request.log_path, epoch_unix_s)
@@ -189,12 +194,13 @@ class Streamer:
             epoch_unix_s=epoch_unix_s,
             on_frame=self.recorder.frame,
         )
-        self.control = ControlServer(run_dir / "control.sock")
+        self.control = ControlServer(run_dir / SOCKET_FILE)
         self.events: list[dict[str, Any]] = []
         self._stop = False
         self._deadline_s = 0.0
         # A shared link's bytes go in once, under the first station that has it.
-        self._first = {url: next(s for s, u in request.links.items() if u == url) for url in self.endpoints}
+        self._first = {url: next(s for s, urls in request.urls.items() if url in urls) for url in self.endpoints}
+        self._ready: queue.SimpleQueue[tuple[int, Mapping[str, Any], NextPlan | str]] = queue.SimpleQueue()
 
     def run(self) -> int:
         """Fly; the exit code."""
@@ -218,9 +224,9 @@ class Streamer:
 
     def _tick(self, now_s: float) -> None:
         self._deadline_s = self.core.step(now_s)
-        links = self.request.links
         for station, frame in self.core.take_outgoing():
-            self.endpoints[links[station]].send(frame)
+            for url in self.core.routes(station, frame):
+                self.endpoints[url].send(frame)
         self.core.tell()
         self._publish()
         if self._stop:
@@ -239,12 +245,15 @@ class Streamer:
     def _listen(self) -> None:
         for url, endpoint in self.endpoints.items():
             for data in endpoint.receive():
-                self.core.receive(self._first[url], data, self.clock.now_s())
+                self.core.receive(self._first[url], data, self.clock.now_s(), url)
                 if isinstance(self.clock, PacedClock):
                     position = self.core.context.monitor.position
                     self.clock.heard(None if position is None else position.boot_s)
         for client, line in self.control.receive():
             self._answer(client, line)
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._replan(*self._ready.get_nowait())
         attended = self.control.attended
         if attended is not None:
             (self.core.parent_back if attended else self.core.parent_gone)()
@@ -259,6 +268,9 @@ class Streamer:
             self.control.subscribe(client)
             return
         reply: dict[str, Any] = {"reply": line.get("id")}
+        if line.get("word") == Word.REPLAN:
+            threading.Thread(target=self._make_ready, args=(client, line), name="replan", daemon=True).start()
+            return
         if line.get("status"):
             reply["status"] = self.core.status()
         else:
@@ -266,13 +278,34 @@ class Streamer:
             reply |= {"ok": True} if error is None else {"error": error}
         self.control.send(client, reply)
 
-    def _obey(self, line: Mapping[str, Any]) -> str | None:
-        """Pass a word on; why it was refused, None when it was not."""
-        known = {"by", "handover", "until_s", "reason", "plan_sha256"}
+    def _make_ready(self, client: int, line: Mapping[str, Any]) -> None:
+        """In a thread of its own: read and judge the plan; the tick that follows takes it over."""
+        name = str(line.get("new_plan_sha256", ""))
+        upcoming: NextPlan | str
         try:
-            self.core.command(
-                Word(line.get("word", "")), **{k: v for k, v in line.items() if k in known and v is not None}
-            )
+            if not re.fullmatch("[0-9a-f]{64}", name):
+                raise TransitionError("'replan' needs new_plan_sha256, the hash of a plan in the run folder")
+            document = json.loads((self.run_dir / f"plan-{name}.json").read_bytes())
+            upcoming = self.core.make_ready(document)
+            if upcoming.plan.plan_sha256 != name:
+                raise TransitionError(f"the file holds another plan ({upcoming.plan.plan_sha256})")
+        except (TransitionError, OSError, ValueError) as error:
+            upcoming = str(error)
+        except Exception as error:  # a fault in judging a plan must not become one of the flight
+            upcoming = f"the plan cannot be judged: {error!r}"
+        self._ready.put((client, line, upcoming))
+
+    def _replan(self, client: int, line: Mapping[str, Any], upcoming: NextPlan | str) -> None:
+        error = upcoming if isinstance(upcoming, str) else self._obey(line, upcoming=upcoming)
+        reply: dict[str, Any] = {"reply": line.get("id")}
+        self.control.send(client, reply | ({"ok": True} if error is None else {"error": error}))
+
+    def _obey(self, line: Mapping[str, Any], **more: Any) -> str | None:
+        """Pass a word on; why it was refused, None when it was not."""
+        known = {"by", "handover", "until_s", "reason", "plan_sha256", "join_s", "leave_s"}
+        try:
+            given = {k: v for k, v in line.items() if k in known and v is not None}
+            self.core.command(Word(line.get("word", "")), **given, **more)
         except (TransitionError, ValueError, TypeError) as error:
             return str(error)
         return None

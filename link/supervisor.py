@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,12 +25,12 @@ from typing import Any
 
 from gcs.errors import Fault
 from gcs.flight import EventKind, FlightEvent, FlightState, Journal, TransitionError
+from link.control_socket import SOCKET_FILE, connect
 from link.errors import FlightRequestError, SupervisorError
 from link.request import FlightRequest
 
 START_TIMEOUT_S = 30.0
 REPLY_TIMEOUT_S = 10.0
-MAX_SOCKET_PATH = 100
 OnEvent = Callable[[FlightEvent], None]
 
 
@@ -59,8 +59,6 @@ def start_flight(
     """
     folder = run_dir if run_dir is not None else Path(tempfile.mkdtemp(prefix="skyrelay-flight-"))
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if len(str(folder / "control.sock")) > MAX_SOCKET_PATH:
-        raise SupervisorError(f"run folder {folder} has too long a path for a socket; choose a shorter one")
     if (folder / "request.json").exists():
         raise SupervisorError(f"run folder {folder} has been flown from; choose another")
     document = json.dumps(request.to_document()).encode()
@@ -95,8 +93,7 @@ def attach(
     """
     try:
         pid = int((run_dir / "pid").read_text())
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        connection.connect(str(run_dir / "control.sock"))
+        connection = connect(run_dir / SOCKET_FILE)
     except (OSError, ValueError) as error:
         raise SupervisorError(f"no streamer runs in {run_dir}: {error}") from None
     return RunningFlight(run_dir, connection, pid, None, journal, on_event, after=after)
@@ -112,14 +109,10 @@ def _connect(folder: Path, process: subprocess.Popen[bytes]) -> socket.socket:
                 raise FlightRequestError([Fault("links", said["error"])])
             tail = (folder / "streamer.log").read_text(errors="replace")[-2000:]
             raise SupervisorError(f"the streamer ended at once (exit code {process.returncode}): {tail}")
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            connection.connect(str(folder / "control.sock"))
+            return connect(folder / SOCKET_FILE)
         except OSError:
-            connection.close()
             time.sleep(0.02)
-            continue
-        return connection
     raise SupervisorError(f"the streamer did not come up in {START_TIMEOUT_S:g} s; see {folder / 'streamer.log'}")
 
 
@@ -166,6 +159,19 @@ class RunningFlight:
         reply = self._ask({"word": str(word), **fields})
         if "error" in reply:
             raise TransitionError(str(reply["error"]))
+
+    def replan(
+        self, document: Mapping[str, Any], *, join_s: float | None = None, leave_s: float | None = None, **fields: Any
+    ) -> None:
+        """The word `replan`: fly another plan from here on (`gcs.replan.Replanned`); times for a flight that stands.
+
+        The plan's document stays in the run folder. Raises as `command` does, and ``OSError``.
+        """
+        name = str(document["plan_sha256"])
+        partial = self.run_dir / f"plan-{name}.json.partial"
+        partial.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+        partial.replace(self.run_dir / f"plan-{name}.json")
+        self.command("replan", new_plan_sha256=name, join_s=join_s, leave_s=leave_s, **fields)
 
     def status(self) -> dict[str, Any]:
         """The flight now; see `link.flight.FlightCore.status`. Raises `SupervisorError` when it cannot be reached."""
@@ -283,7 +289,7 @@ class RunningFlight:
                 self._process.kill()
                 return self._process.wait()
         deadline = time.monotonic() + REPLY_TIMEOUT_S
-        while time.monotonic() < deadline and _alive(self.pid):
+        while time.monotonic() < deadline and _is_streamer(self.pid, self.run_dir):
             time.sleep(0.02)
         return None
 
@@ -295,13 +301,3 @@ def _is_streamer(pid: int, run_dir: Path) -> bool:
     except OSError:
         return False
     return str(run_dir).encode() in command
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

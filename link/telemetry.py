@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+from link.carrier import LinkQuality, StationLink
 from link.dialect import mavlink
 from link.projection import EkfOrigin
 
@@ -20,8 +22,9 @@ REBOOT_BACK_S = 3.0
 """A time stamp this far behind is no reordering."""
 TEXT_CHUNK = 50
 SAME_TEXT_S = 2.0
-PROBE_MEMORY = 64
 OFFSET_WINDOW_S = 20.0
+
+__all__ = ["EchoTracker", "Heartbeat", "LinkQuality", "Position", "Sent", "StationLink", "VehicleMonitor"]
 
 GROUND_STATION_TYPES = (mavlink.MAV_TYPE_GCS,)
 
@@ -64,38 +67,27 @@ class Heartbeat:
         return bool(self.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
-@dataclass
-class StationLink:
-    """The health of one station's link. Times are the flight's clock, minus infinity where nothing came yet."""
-
-    station_id: str
-    heard_s: float = -math.inf
-    """Anything of the vehicle's autopilot over this link."""
-    heartbeat_s: float = -math.inf
-    proven_s: float = -math.inf
-    """When the latest frame of ours left that the vehicle has answered over this link: both directions work."""
-    round_trip_s: float | None = None
-    messages: int = 0
-    origin: EkfOrigin | None = None
-    origin_s: float = -math.inf
-    probes: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=PROBE_MEMORY))
-
-    def answered(self, sent_s: float, now_s: float) -> None:
-        """A frame sent at ``sent_s`` was answered at ``now_s``."""
-        self.proven_s = max(self.proven_s, sent_s)
-        trip = now_s - sent_s
-        self.round_trip_s = trip if self.round_trip_s is None else 0.8 * self.round_trip_s + 0.2 * trip
-
-
 class VehicleMonitor:
-    """Everything heard, merged. ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids."""
+    """Everything heard, merged.
 
-    def __init__(self, stations: tuple[str, ...], vehicle_system_id: int, own_system_ids: frozenset[int]) -> None:
+    ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids, ``urls`` the ways of each where
+    there are several.
+    """
+
+    def __init__(
+        self,
+        stations: tuple[str, ...],
+        vehicle_system_id: int,
+        own_system_ids: frozenset[int],
+        urls: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
         self.vehicle_system_id = vehicle_system_id
-        self.links = {station: StationLink(station) for station in stations}
+        self.links = {station: StationLink(station, (urls or {}).get(station, ("",))) for station in stations}
         self.heartbeat: Heartbeat | None = None
         self.position: Position | None = None
         self.version: Any = None
+        self.unix_s: tuple[float, float] | None = None
+        """The vehicle's UTC (SYSTEM_TIME) and our clock when it came; None while it has none."""
         self.home_amsl_m: float | None = None
         self.landed_state: int = 0
         self.battery_percent: int | None = None
@@ -116,8 +108,11 @@ class VehicleMonitor:
 
     # -- in -----------------------------------------------------------------------------------------------------------
 
-    def receive(self, now_s: float, station_id: str, message: Any) -> bool:
-        """Take a message heard over a station's link; whether it was the vehicle's autopilot speaking."""
+    def receive(self, now_s: float, station_id: str, message: Any, url: str | None = None) -> bool:
+        """Take a message heard over a station's link; whether it was the vehicle's autopilot speaking.
+
+        ``url`` tells which of the station's ways it came over.
+        """
         system, component = message.get_srcSystem(), message.get_srcComponent()
         kind = message.get_type()
         if system != self.vehicle_system_id:
@@ -127,8 +122,12 @@ class VehicleMonitor:
         if component != AUTOPILOT_COMPONENT:
             return False
         link = self.links[station_id]
-        link.heard_s = max(link.heard_s, now_s)
-        link.messages += 1
+        carrier = link.carrier(url)
+        carrier.heard(now_s, message.get_seq())
+        if kind == "TIMESYNC":
+            if message.tc1 != 0:
+                carrier.answered(message.ts1, now_s)
+            return True
         fresh = self._in_order(now_s, getattr(message, "time_boot_ms", None))
         handler = _HANDLERS.get(kind)
         if handler is not None:
@@ -166,17 +165,23 @@ class VehicleMonitor:
             self._offset[-1] = (self._offset[-1][0], offset)
 
     def our_time_s(self, boot_s: float) -> float | None:
-        """Our clock when the vehicle's showed ``boot_s``: by the fastest message lately, so late by its delay alone."""
+        """Our clock when the vehicle's showed ``boot_s``.
+
+        By the fastest message lately, less half of the shortest round trip lately: right where there and back take
+        equally long. A message that was faster than that way's own (over another link) keeps it from being early.
+        """
         if not self._offset:
             return None
-        return boot_s + min(offset for _, offset in self._offset)
+        latencies = [c.least_latency_s for link in self.links.values() for c in link.carriers if c.round_trip_s]
+        return boot_s + min(offset for _, offset in self._offset) - min(latencies, default=0.0)
 
     def probe(self, now_s: float, station_id: str) -> Any:
-        """A TIMESYNC of a station whose answer can only be the answer to it (matched by ``ts1``)."""
+        """A TIMESYNC of a station, for all its ways; its answer can only be the answer to it (matched by ``ts1``)."""
         self._probe_count += 1
         # Nanoseconds of our clock would repeat between stations; the count cannot.
         nonce = (int(max(now_s, 0.0) * 1e6) << 20) | (self._probe_count & 0xFFFFF)
-        self.links[station_id].probes.append((nonce, now_s))
+        for carrier in self.links[station_id].carriers:
+            carrier.probed(now_s, nonce)
         return mavlink.MAVLink_timesync_message(0, nonce)
 
     # -- out ----------------------------------------------------------------------------------------------------------
@@ -221,14 +226,6 @@ class VehicleMonitor:
         if fresh:
             self.target, self.target_s = m, now_s
 
-    def _on_timesync(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        if m.tc1 == 0:
-            return
-        for nonce, sent_s in link.probes:
-            if nonce == m.ts1:
-                link.answered(sent_s, now_s)
-                return
-
     def _on_origin(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         link.origin = EkfOrigin.from_message(m)
         link.origin_s = now_s
@@ -244,6 +241,10 @@ class VehicleMonitor:
 
     def _on_version(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.version = m
+
+    def _on_system_time(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        if m.time_unix_usec > 0 and fresh:
+            self.unix_s = (m.time_unix_usec * 1e-6, now_s)
 
     def _on_control_status(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.control_main, self.control_s = m.gcs_main, now_s
@@ -271,12 +272,12 @@ _HANDLERS = {
     "HEARTBEAT": VehicleMonitor._on_heartbeat,
     "GLOBAL_POSITION_INT": VehicleMonitor._on_global_position,
     "POSITION_TARGET_LOCAL_NED": VehicleMonitor._on_target,
-    "TIMESYNC": VehicleMonitor._on_timesync,
     "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_origin,
     "HOME_POSITION": VehicleMonitor._on_home,
     "EXTENDED_SYS_STATE": VehicleMonitor._on_extended_state,
     "SYS_STATUS": VehicleMonitor._on_sys_status,
     "AUTOPILOT_VERSION": VehicleMonitor._on_version,
+    "SYSTEM_TIME": VehicleMonitor._on_system_time,
     "CONTROL_STATUS": VehicleMonitor._on_control_status,
     "STATUSTEXT": VehicleMonitor._on_text,
 }

@@ -27,7 +27,11 @@ STRANGE_M = 5.0
 STRANGE_COUNT, STRANGE_WITHIN_S, STRANGE_AGAIN_S = 3, 1.0, 10.0
 """So many targets this far from every setpoint of ours within so long are told, and told again at most so often."""
 DELAY_S = 0.25
-"""Uplink, tick and controller delay that is no fault of the vehicle, beside half the round trip."""
+"""Tick and controller delay that is no fault of the vehicle, beside what of the link's latency is not led."""
+LEAD_STEP_S, LEAD_SETTLED_S = 0.015, 0.002
+"""The lead follows the latency once they are so far apart, until so near: noise of the measurement moves nothing."""
+LEAD_SLEW = 0.05
+"""How fast the lead changes, seconds a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +46,11 @@ class Tracking:
 
 
 class LagMonitor:
-    """Compares positions heard with setpoints sent. `note` every setpoint, `update` every tick."""
+    """Compares positions heard with the reference. `note` where it is, every tick a setpoint is sent; then `update`."""
 
-    def __init__(self, context: FlightContext) -> None:
+    def __init__(self, context: FlightContext, lead: Lead) -> None:
         self._c = context
+        self._lead = lead
         self._sent: deque[tuple[float, Setpoint]] = deque(maxlen=600)
         self._boot_s = -math.inf
         self.tracking: Tracking | None = None
@@ -60,7 +65,7 @@ class LagMonitor:
         return math.sqrt(self._squares / self._count) if self._count else 0.0
 
     def note(self, setpoint: Setpoint) -> None:
-        """Remember what was asked for now."""
+        """Remember where the vehicle ought to be now."""
         self._sent.append((self._c.now_s, setpoint))
 
     def forget(self) -> None:
@@ -105,7 +110,7 @@ class LagMonitor:
         self._count += 1
 
     def _asked_at(self, time_s: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """Position and velocity asked for at a moment: the setpoint then in force, carried on along its velocity."""
+        """Position and velocity of the reference at a moment: those noted last before it, carried on."""
         for sent_s, setpoint in reversed(self._sent):
             if sent_s <= time_s:
                 carry_s = min(time_s - sent_s, 1.0)
@@ -120,8 +125,7 @@ class LagMonitor:
         tracking = self.tracking
         if tracking is None or speed_m_s < 1.0:
             return 1.0
-        trip_s = self._c.monitor.links[self._c.fence.station_id].round_trip_s or 0.0
-        allowed_m = LAG_START_M + speed_m_s * (DELAY_S + 0.5 * trip_s)
+        allowed_m = LAG_START_M + speed_m_s * (DELAY_S + self._lead.missing_s)
         if tracking.behind_m <= allowed_m:
             return 1.0
         wanted = tracking.speed_along_m_s - (tracking.behind_m - allowed_m) / LAG_TIME_S
@@ -141,6 +145,42 @@ class LagMonitor:
     def lost_for_s(self) -> float:
         """For how long it has not followed."""
         return 0.0 if self._lost_since_s is None else self._c.now_s - self._lost_since_s
+
+
+class Lead:
+    """How far ahead of the reference the setpoints are asked for, so that they are in time when they arrive.
+
+    A setpoint that takes L seconds to the vehicle is v L behind when it gets there. So the reference is looked up that
+    much ahead: by the latency of the station in control, half its round trip, at most ``lead_limit_s`` of the request.
+    At a handover it changes at once with the link, for then every setpoint is right at its arrival.
+    """
+
+    def __init__(self, context: FlightContext) -> None:
+        self._c = context
+        self.seconds = 0.0
+        self._station = ""
+        self._moving = False
+
+    def update(self, dt_s: float) -> None:
+        """Follow the latency; once a tick."""
+        station = self._c.fence.station_id
+        latency_s = self._c.monitor.links[station].latency_s
+        if latency_s is None:
+            return
+        wanted = min(latency_s, self._c.request.lead_limit_s)
+        if station != self._station:
+            self._station, self.seconds, self._moving = station, wanted, False
+            return
+        off = wanted - self.seconds
+        self._moving = abs(off) > (LEAD_SETTLED_S if self._moving else LEAD_STEP_S)
+        if self._moving:
+            self.seconds += math.copysign(min(abs(off), LEAD_SLEW * dt_s), off)
+
+    @property
+    def missing_s(self) -> float:
+        """Latency that is not led."""
+        latency_s = self._c.monitor.links[self._c.fence.station_id].latency_s
+        return 0.0 if latency_s is None else max(0.0, latency_s - self.seconds)
 
 
 class UplinkMonitor:

@@ -157,7 +157,8 @@ def only_roots(coefficients: Array, *, tolerance: float = 1e-12) -> Array:
     each = np.arange(points.shape[1])
     after = (points > 0.0).argmax(axis=0)
     left, right = points[after - 1, each], points[after, each]
-    u, settled = (after - right / (right - left)) / degree, np.zeros(points.shape[1], dtype=bool)
+    u: Array = (after - right / (right - left)) / degree
+    settled = np.zeros(points.shape[1], dtype=bool)
     weighted = _binomials(degree)[:, None] * points
     steps = degree * _binomials(degree - 1)[:, None] * np.diff(points, axis=0)
     powers = np.ones((2, degree + 1, points.shape[1]))

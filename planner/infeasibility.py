@@ -4,8 +4,11 @@
 start state, endurance) and, beside the first remedy, others of a different kind, each found by solving for the least
 change after which nothing is wrong any more:
 
+    raise_range        of the one station with which it is least, where that is not the first remedy
     raise_all_ranges   every range by so much: what a smaller range margin would give
     widen_band         a lower floor or a higher ceiling of the altitude band
+    lower_elevations   every lowest elevation by so much, where antennas have one
+    move               an end that is out of range, to the nearest place in range
     add_station        one more station, in the middle of the gap
 """
 
@@ -13,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,13 +24,15 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from planner.bound import LowerBound
-from planner.discs import covering_stations, range_to_meet_m
+from planner.discs import altitude_span_m, covering_stations, disc_radius_m, range_to_meet_m
 from planner.errors import Infeasibility
 from planner.lens import MIN_LENS_M, adjacent_pairs, diagnose
 from planner.problem import Limits, Problem
 
 # Above this many stations only the first remedy is worked out: the others take some dozens of diagnoses each.
 MAX_STATIONS = 2_000
+# Above this many no station is looked for that would save handovers with a larger range.
+MAX_SINGLE = 300
 BISECTIONS = 24
 # Faults followed one behind the other.
 MAX_FAULTS = 4
@@ -38,10 +44,18 @@ def explain(problem: Problem, bound: LowerBound) -> Infeasibility | None:
     ``fix`` is the smallest remedy of its kind, ``fix["also"]`` what more is needed beside it, and
     ``fix["alternatives"]`` remedies of other kinds, each of which cures everything.
     """
+    return (
+        diagnose_ranges(problem)
+        or _wind(problem.limits)
+        or _start_state(problem)
+        or _endurance(problem, bound.time_s, proven=True)
+    )
+
+
+def diagnose_ranges(problem: Problem) -> Infeasibility | None:
+    """As `explain`, of ranges, altitude band and handovers alone."""
     found = diagnose(problem)
-    if found is not None:
-        return _with_alternatives(problem, found)
-    return _wind(problem.limits) or _start_state(problem) or _endurance(problem, bound.time_s, proven=True)
+    return None if found is None else _with_alternatives(problem, found)
 
 
 def too_long(problem: Problem, duration_s: float) -> Infeasibility | None:
@@ -149,6 +163,12 @@ def _remedied(problem: Problem, fix: dict[str, object] | None) -> Problem | None
         for step in (fix, *also):
             ranges[step["station"]] += step["by_m"]
         return replace(problem, ranges_m=ranges, bound_ranges_m=None)
+    if fix["action"] == "lower_elevation":
+        assert problem.min_elevation_deg is not None
+        angles = problem.min_elevation_deg.copy()
+        lowered: dict[str, Any] = fix
+        angles[lowered["station"]] = lowered["to_deg"]
+        return replace(problem, min_elevation_deg=angles)
     if fix["action"] == "set_altitude":
         name = "start_m" if fix["of"] == "start" else "destination_m"
         point = getattr(problem, name).copy()
@@ -189,11 +209,16 @@ def _with_alternatives(problem: Problem, found: Infeasibility) -> Infeasibility:
     if len(faults) > 1:
         message = found.message + "".join(f"; besides, {fault.message}" for fault in faults[1:])
         found = replace(found, message=message, fix=_together([fault.fix for fault in faults]))
-    if any(fault.reason.endswith("_altitude") or fault.reason == "limits" for fault in faults):
-        return found
-    widest = max(fault.gap_m or 0.0 for fault in faults)
-    remedies = [_all_ranges(problem, widest), _band(problem)]
-    if len(faults) == 1:
+    crowded = any(fault.reason == "limits" for fault in faults)
+    # More handovers than allowed: one range from end to end is the most it can take.
+    span = float(np.linalg.norm(problem.destination_m - problem.start_m)) + float(problem.ranges_m.max())
+    widest = span if crowded else 2.0 * max(fault.gap_m or 0.0 for fault in faults) + 1.0
+    remedies = [_all_ranges(problem, widest), _band(problem), _elevations(problem)]
+    if crowded:
+        remedies.append(_one_range(problem, widest))
+    elif len(faults) == 1 and found.reason.endswith("_uncovered"):
+        remedies.append(_move(problem, found))
+    if len(faults) == 1 and not crowded:
         remedies.append(_station(problem, found))
     alternatives = [remedy for remedy in remedies if remedy is not None]
     if not alternatives:
@@ -204,11 +229,16 @@ def _with_alternatives(problem: Problem, found: Infeasibility) -> Infeasibility:
     return replace(found, fix=fix)
 
 
-def _least(cured: Callable[[float], bool], most: float) -> float | None:
-    """The least ``x`` up to ``most`` for which ``cured(x)``, at most a ten-millionth of it above; None when none is."""
+def _least(cured: Callable[[float], bool], most: float, needed: float = 0.0) -> float | None:
+    """The least ``x`` up to ``most`` for which ``cured(x)``, at most a ten-millionth of it above; None when none is.
+
+    It is known not to be less than ``needed``.
+    """
     if not cured(most):
         return None
-    low, high = 0.0, most
+    if needed > 0.0 and cured(needed):
+        return needed
+    low, high = max(needed, 0.0), most
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if cured(middle) else (middle, high)
@@ -216,7 +246,10 @@ def _least(cured: Callable[[float], bool], most: float) -> float | None:
 
 
 def _linked(problem: Problem) -> bool:
-    """True when `planner.lens.diagnose` would find nothing wrong with the ranges; cheaper where it would."""
+    """True when `planner.lens.diagnose` would find nothing wrong; cheaper where it would."""
+    ends = (problem.start_m[2], problem.destination_m[2])
+    if min(ends) < problem.limits.min_alt_m or max(ends) > problem.limits.max_alt_m:
+        return False
     sources = covering_stations(problem, problem.start_m)
     targets = covering_stations(problem, problem.destination_m)
     if not len(sources) or not len(targets):
@@ -230,27 +263,99 @@ def _linked(problem: Problem) -> bool:
     return problem.max_handovers is None or diagnose(problem) is None
 
 
-def _all_ranges(problem: Problem, widest_gap_m: float) -> dict[str, object] | None:
+def _all_ranges(problem: Problem, most_m: float) -> dict[str, object] | None:
+    """Every range raised; by the widest gap of the narrowest chain would do but for slant, twice that is plenty."""
+
     def cured(by_m: float) -> bool:
         return _linked(replace(problem, ranges_m=problem.ranges_m + by_m, bound_ranges_m=None))
 
-    # All of them raised by the widest gap of the narrowest chain would close it, but for slant: twice that is plenty.
-    by_m = _least(cured, 2.0 * widest_gap_m + 1.0)
+    by_m = _least(cured, most_m)
     return None if by_m is None else {"action": "raise_all_ranges", "by_m": by_m}
+
+
+def _one_range(problem: Problem, most_m: float) -> dict[str, object] | None:
+    """The one station whose range has to be raised least, and by how much."""
+    if problem.station_count > MAX_SINGLE:
+        return None
+
+    def cured(station: int, by_m: float) -> bool:
+        ranges = problem.ranges_m.copy()
+        ranges[station] += by_m
+        return _linked(replace(problem, ranges_m=ranges, bound_ranges_m=None))
+
+    best: tuple[int, float] | None = None
+    for station in range(problem.station_count):
+        # Only a station that does with less than the best so far is worth working out.
+        most = most_m if best is None else best[1] * (1.0 - 1e-3)
+        by_m = _least(partial(cured, station), most)
+        if by_m is not None:
+            best = station, by_m
+    return None if best is None else {"action": "raise_range", "station": best[0], "by_m": best[1]}
+
+
+def _elevations(problem: Problem) -> dict[str, object] | None:
+    """Every lowest elevation lowered by so much, down to the horizon at most."""
+    angles = problem.min_elevation_deg
+    if angles is None or angles.max() <= 0.0:
+        return None
+
+    def cured(by_deg: float) -> bool:
+        lowered = np.where(angles < 0.0, angles, np.maximum(angles - by_deg, 0.0))
+        return _linked(replace(problem, min_elevation_deg=lowered))
+
+    by_deg = _least(cured, float(angles.max()))
+    return None if by_deg is None else {"action": "lower_elevations", "by_deg": by_deg}
+
+
+def _move(problem: Problem, found: Infeasibility) -> dict[str, object] | None:
+    """The end that is out of range moved to the nearest place in the band that a station covers.
+
+    At every altitude the way to a disc is known, and the distance of the two together is convex: the best one is
+    found by zooming in.
+    """
+    assert found.position_m is not None
+    point = np.array(found.position_m)
+    low, high = altitude_span_m(problem)
+    usable = np.flatnonzero(low <= high)
+    if not len(usable):
+        return None
+    low, high = low[usable], high[usable]
+    masts = problem.station_positions_m[usable, :2]
+    away = np.linalg.norm(masts - point[:2], axis=1)
+    grid = np.linspace(0.0, 1.0, 17)
+    for _ in range(12):
+        altitude = low[:, None] + grid * (high - low)[:, None]
+        aside = np.maximum(away[:, None] - disc_radius_m(problem, usable[:, None], altitude), 0.0)
+        distance = np.hypot(aside, altitude - point[2])
+        at = np.argmin(distance, axis=1)[:, None]
+        low = np.take_along_axis(altitude, np.maximum(at - 1, 0), axis=1)[:, 0]
+        high = np.take_along_axis(altitude, np.minimum(at + 1, len(grid) - 1), axis=1)[:, 0]
+    best = int(np.argmin(distance.min(axis=1)))
+    k = int(at[best, 0])
+    by_m, up = float(distance[best, k]), float(altitude[best, k])
+    # A billionth further in, so that rounding leaves it covered.
+    inwards = min(1.0, (float(aside[best, k]) + 1e-9 * float(problem.ranges_m.max())) / max(float(away[best]), 1e-9))
+    to = np.array([*(point[:2] + inwards * (masts[best] - point[:2])), up])
+    of = found.reason.partition("_")[0]
+    moved: dict[str, Any] = {f"{of}_m": to}
+    if not _linked(replace(problem, **moved)):
+        return None
+    return {"action": "move", "of": of, "position_m": tuple(float(x) for x in to), "by_m": by_m}
 
 
 def _band(problem: Problem) -> dict[str, object] | None:
     """The smaller of: the floor lowered towards the antennas, the ceiling raised towards them."""
     limits, heights = problem.limits, problem.station_positions_m[:, 2]
     choices: list[tuple[float, dict[str, object]]] = []
-    down = limits.min_alt_m - float(heights.min())
+    ends = sorted((float(problem.start_m[2]), float(problem.destination_m[2])))
+    down = limits.min_alt_m - min(float(heights.min()), ends[0])
     if down > 0.0:
-        by_m = _least(lambda by: _linked(_band_moved(problem, -by, 0.0)), down)
+        by_m = _least(lambda by: _linked(_band_moved(problem, -by, 0.0)), down, limits.min_alt_m - ends[0])
         if by_m is not None:
             choices.append((by_m, {"action": "widen_band", "min_alt_m": limits.min_alt_m - by_m, "by_m": by_m}))
-    up = float(heights.max()) - limits.max_alt_m
+    up = max(float(heights.max()), ends[1]) - limits.max_alt_m
     if up > 0.0:
-        by_m = _least(lambda by: _linked(_band_moved(problem, 0.0, by)), up)
+        by_m = _least(lambda by: _linked(_band_moved(problem, 0.0, by)), up, ends[1] - limits.max_alt_m)
         if by_m is not None:
             choices.append((by_m, {"action": "widen_band", "max_alt_m": limits.max_alt_m + by_m, "by_m": by_m}))
     return min(choices, key=lambda choice: choice[0])[1] if choices else None

@@ -192,22 +192,41 @@ def _altitude_fault(problem: Problem, name: str, position: Array) -> Infeasibili
 def _cover_fault(problem: Problem, name: str, position: Array) -> Infeasibility | None:
     if len(covering_stations(problem, position)):
         return None
+    inside = problem.covers(position)
+    if len(inside):
+        return _elevation_fault(problem, name, position, inside)
     missing = np.linalg.norm(problem.station_positions_m - position, axis=1) - problem.ranges_m
-    low = len(problem.covers(position)) > 0
     nearest = int(np.argmin(missing))
     gap = float(max(missing[nearest], 0.0))
-    if low:
-        message = f"the {name} is in range of station {nearest} but below its lowest elevation angle"
-        fix = None
-    else:
-        # The last digit of the sum must not fall short of the distance.
-        by = gap + 1e-9 * float(problem.ranges_m[nearest] + gap)
-        message = (
-            f"the {name} is out of range of every station: the nearest, station {nearest}, misses it by {gap:.3f} m; "
-            f"raise its range by {by:.3f} m or move the {name}"
-        )
-        fix = {"action": "raise_range", "station": nearest, "by_m": by}
+    # The last digit of the sum must not fall short of the distance.
+    by = gap + 1e-9 * float(problem.ranges_m[nearest] + gap)
+    message = (
+        f"the {name} is out of range of every station: the nearest, station {nearest}, misses it by {gap:.3f} m; "
+        f"raise its range by {by:.3f} m or move the {name}"
+    )
+    fix: dict[str, object] = {"action": "raise_range", "station": nearest, "by_m": by}
     return Infeasibility(f"{name}_uncovered", message, (nearest,), gap, _point(position), fix)
+
+
+def _elevation_fault(problem: Problem, name: str, position: Array, inside: Indices) -> Infeasibility:
+    """An end in range of stations ``inside``, all of which see it too low: the one that misses it least."""
+    assert problem.min_elevation_deg is not None
+    offset = position - problem.station_positions_m[inside]
+    seen = np.degrees(np.arctan2(offset[:, 2], np.linalg.norm(offset[:, :2], axis=-1)))
+    best = int(np.argmin(problem.min_elevation_deg[inside] - seen))
+    station, angle = int(inside[best]), float(seen[best])
+    lowest = float(problem.min_elevation_deg[station])
+    # Below the antenna's horizon no limit will do but none.
+    to = angle * (1.0 - 1e-9) if angle > 0.0 else -90.0
+    return Infeasibility(
+        f"{name}_uncovered",
+        f"the {name} is in range of station {station}, which sees it at an elevation of {angle:.3f} degrees and hears "
+        f"nothing below {lowest:.3f} degrees",
+        (station,),
+        0.0,
+        _point(position),
+        {"action": "lower_elevation", "station": station, "to_deg": to, "by_deg": lowest - to},
+    )
 
 
 def _handover_fault(
@@ -229,7 +248,7 @@ def _handover_fault(
         return None
     return Infeasibility(
         "limits",
-        f"at least {fewest} handovers are needed and {problem.max_handovers} allowed; allow {fewest}",
+        f"at least {fewest} handover{'' if fewest == 1 else 's'} are needed and {problem.max_handovers} allowed",
         fix={"action": "raise_limit", "limit": "max_handovers", "to": fewest},
     )
 

@@ -1,7 +1,8 @@
 """An independent judge of plan documents: reads the JSON, believes nothing in it, calls no code of ours.
 
 Bézier curves are evaluated here by de Casteljau, the plane is inverted by PROJ (pyproj), slant ranges are chords
-between earth-centred points. `check_plan` returns every complaint; an empty list is a good plan.
+between earth-centred points, speeds and elevations on the earth are measured there. Every option and limit of the
+mission as submitted is held against the curve. `check_plan` returns every complaint; an empty list is a good plan.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ SAMPLES_PER_SEGMENT = 40
 # Places recomputed through PROJ, and times through samples, agree with the document to these.
 POSITION_TOLERANCE_M = 1e-3
 WINDOW_TOLERANCE_S = 2e-3
+# Earth-centred points differ by rounding of 1e-9 m over a second: so well are speeds on the earth known.
+EARTH_SPEED_TOLERANCE_M_S = 1e-6
 
 
 def check_plan(plan: Document, mission: Document) -> list[str]:
@@ -40,11 +43,30 @@ def hodograph(points: Array, duration_s: float) -> Array:
     return (len(points) - 1) * np.diff(points, axis=0) / duration_s
 
 
+def flight_energy_s(plan: Document, mission: Document) -> float:
+    """Energy of a plan in seconds of staying aloft: the integral of 1 + (a / a_max)^2 + (v / v_max)^3, by Simpson."""
+    limits, total = mission["limits"], 0.0
+    for segment in plan["segments"]:
+        points, duration = np.array(segment["control_points"], dtype=float), float(segment["duration_s"])
+        q = hodograph(points, duration)
+        k = hodograph(q, duration)
+        u = np.linspace(0.0, 1.0, 101)
+        weights = np.tile([2.0, 4.0], 51)[:101]
+        weights[[0, -1]] = 1.0
+        speed = np.array([np.linalg.norm(de_casteljau(q, x)) for x in u]) / limits["max_speed_m_s"]
+        accel = np.array([np.linalg.norm(de_casteljau(k, x)) for x in u]) / limits["max_accel_m_s2"]
+        total += duration * float(weights @ (1.0 + accel**2 + speed**3)) / 300.0
+    return total
+
+
 class _Checker:
     def __init__(self, plan: Document, mission: Document) -> None:
-        self.plan, self.mission = plan, mission
+        self.plan = plan
+        # A null stands for a field left out.
+        given = {p: {k: v for k, v in mission.get(p, {}).items() if v is not None} for p in ("limits", "options")}
+        self.mission = {**mission, **given}
         self.complaints: list[str] = []
-        self.options = {"min_overlap_s": 5.0, "range_margin_m": 25.0, "min_tenure_s": 10.0} | mission.get("options", {})
+        self.options = {"min_overlap_s": 5.0, "range_margin_m": 25.0, "min_tenure_s": 10.0} | given["options"]
         self.local = "origin" in mission
         origin = plan["origin"]
         self.origin_alt_m = origin["alt_amsl_m"]
@@ -67,6 +89,7 @@ class _Checker:
 
     def run(self) -> list[str]:
         self.check_document()
+        self.check_mission()
         self.check_times()
         self.check_joints()
         self.check_limits()
@@ -107,6 +130,38 @@ class _Checker:
         antenna = self.to_earth.transform(station["lon_deg"], station["lat_deg"], station["alt_amsl_m"])
         return np.linalg.norm(self.earth(points) - np.array(antenna), axis=1)
 
+    def elevation_deg(self, station_id: str, points: Array) -> Array:
+        """How high above the antenna's horizon plane points ``(k, 3)`` stand; that of the ellipsoid for WGS84."""
+        station = self.stations[station_id]
+        if self.local:
+            offset = points - self.plane(station)
+            return np.degrees(np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1])))
+        antenna = np.array(self.to_earth.transform(station["lon_deg"], station["lat_deg"], station["alt_amsl_m"]))
+        above = np.array(self.to_earth.transform(station["lon_deg"], station["lat_deg"], station["alt_amsl_m"] + 1e3))
+        up = (above - antenna) / np.linalg.norm(above - antenna)
+        offset = self.earth(points) - antenna
+        height = offset @ up
+        return np.degrees(np.arctan2(height, np.linalg.norm(offset - height[:, None] * up, axis=1)))
+
+    def unheard(self, station_id: str, points: Array, margin_m: float = 0.0) -> Array:
+        """Metres out of range, or degrees too low, of plane points ``(k, 3)``; at most 0 where the station hears."""
+        station = self.stations[station_id]
+        outside = self.slant_range_m(station_id, points) - (station["range_m"] - margin_m)
+        if station.get("min_elevation_deg") is None:
+            return outside
+        return np.maximum(outside, station["min_elevation_deg"] - self.elevation_deg(station_id, points))
+
+    def true_velocity(self, points: Array, velocity: Array) -> Array:
+        """Velocities ``(k, 3)`` at plane points as (east, north, up) on the earth; as they are in a local mission."""
+        if self.local:
+            return velocity
+        step = 0.5
+        moved = (self.earth(points + step * velocity) - self.earth(points - step * velocity)) / (2.0 * step)
+        lon, lat = np.radians(self.to_plane.transform(points[:, 0], points[:, 1], direction="INVERSE"))
+        east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)], axis=-1)
+        north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=-1)
+        return np.stack([(moved * east).sum(1), (moved * north).sum(1), velocity[:, 2]], axis=-1)
+
     def at(self, time_s: float) -> Array:
         k = max(0, int(np.searchsorted(self.starts, time_s, side="right")) - 1)
         return de_casteljau(self.curves[k], min(1.0, max(0.0, (time_s - self.starts[k]) / self.durations[k])))
@@ -139,6 +194,21 @@ class _Checker:
         ids = [filled[station] for station in dict.fromkeys(order)]
         self.expect(None not in ids and len(set(ids)) == len(ids), f"system ids of used stations: {ids}")
 
+    def check_mission(self) -> None:
+        """The plan's mission is the one submitted: nothing asked for was dropped or changed on the way."""
+        kept = self.plan["mission"]
+        for part in ("limits", "options"):
+            for name, value in self.mission.get(part, {}).items():
+                if name != "start_state":
+                    self.expect(kept[part].get(name) == value, f"mission.{part}.{name}: {value} became {kept[part]}")
+        for name in ("start", "destination", "origin"):
+            if name in self.mission:
+                self.expect(kept[name] == self.mission[name], f"mission.{name} changed")
+        same = {s["id"]: s for s in kept["stations"]}
+        for station in self.mission["stations"]:
+            for name in ("range_m", "min_elevation_deg"):
+                self.expect(same[station["id"]].get(name) == station.get(name), f"{station['id']}: {name} changed")
+
     def check_times(self) -> None:
         total = self.plan["mission_time_s"]
         self.expect(min(self.durations) > 0, "a segment without duration")
@@ -157,6 +227,9 @@ class _Checker:
         if "endurance_s" in limits:
             allowed = limits["endurance_s"] - limits.get("reserve_s", 0.0)
             self.expect(total <= allowed, f"mission_time_s {total} above endurance less reserve {allowed}")
+        if self.options.get("arrival_s") is not None:
+            wished = self.options["arrival_s"]
+            self.expect(abs(total - wished) <= 1e-6, f"mission_time_s {total} but arrival asked for at {wished}")
         lengths = [np.linalg.norm(np.diff(self.sample(k, 400), axis=0), axis=1).sum() for k in range(len(self.curves))]
         self.expect(
             abs(sum(lengths) / max(self.plan["path_length_m"], 1e-9) - 1) < 1e-4 or sum(lengths) < 1e-3, "path_length_m"
@@ -173,8 +246,7 @@ class _Checker:
         first = [self.plane(self.mission["start"]), np.zeros(3), np.zeros(3)]
         if state:
             for order, key in ((1, "velocity_m_s"), (2, "acceleration_m_s2")):
-                value = state.get(key, [0.0, 0.0, 0.0])
-                given = np.array(list(value.values()) if isinstance(value, dict) else value, dtype=float)
+                given = np.array(state.get(key, [0.0, 0.0, 0.0]), dtype=float)
                 first[order] = self.in_plane(first[0], given)
         last = [self.plane(self.mission["destination"]), np.zeros(3), np.zeros(3)]
         derivatives = []
@@ -189,6 +261,10 @@ class _Checker:
             right = [d[order][0] for d in derivatives] + [last[order]]
             for k, (before, after) in enumerate(zip(left, right, strict=True)):
                 allowed = end if k in (0, len(derivatives)) else tolerance
+                if k == 0 and order and state:
+                    # The start state is along true axes.
+                    after = self.true_velocity(self.curves[0][:1], after[None])[0]
+                    allowed = max(allowed, 0.0 if self.local else EARTH_SPEED_TOLERANCE_M_S)
                 jump = float(np.abs(before - after).max())
                 self.expect(jump <= allowed, f"joint {k}: derivative {order} jumps by {jump}")
 
@@ -216,12 +292,25 @@ class _Checker:
                     self.expect(hull[:, 2].max() <= limits["max_climb_m_s"], f"segment {k}: climbs too fast")
                 if "max_descent_m_s" in limits:
                     self.expect(-hull[:, 2].min() <= limits["max_descent_m_s"], f"segment {k}: sinks too fast")
-                if "max_airspeed_m_s" in limits:
-                    air = np.linalg.norm(hull - np.array([wind["east_m_s"], wind["north_m_s"], 0.0]), axis=1).max()
-                    self.expect(air <= limits["max_airspeed_m_s"], f"segment {k}: airspeed {air}")
-            if "max_jerk_m_s3" in limits:
-                jerk = np.linalg.norm(hodograph(accel, duration), axis=1).max()
-                self.expect(jerk <= limits["max_jerk_m_s3"], f"segment {k}: jerk {jerk}")
+                jerk = hodograph(accel, duration)
+                if name == "samples":
+                    jerk = np.array([de_casteljau(jerk, u) for u in fine])
+                if "max_jerk_m_s3" in limits:
+                    worst = np.linalg.norm(jerk, axis=1).max()
+                    self.expect(worst <= limits["max_jerk_m_s3"] * (1 + slack), f"segment {k}: jerk of {name} {worst}")
+                # On the earth a curve's true speed is known where it is, not at its control points.
+                if self.local or name == "samples":
+                    points = curve if name == "control points" else self.sample(k)
+                    true = hull if self.local else self.true_velocity(points, hull)
+                    rounding = 1e-12 if self.local else EARTH_SPEED_TOLERANCE_M_S
+                    true_speed = np.linalg.norm(true, axis=1).max()
+                    self.expect(true_speed <= v + max(rounding, v * slack), f"segment {k}: true speed {true_speed}")
+                    if "max_airspeed_m_s" in limits:
+                        blown = np.array([wind["east_m_s"], wind["north_m_s"], 0.0])
+                        air = np.linalg.norm(true - blown, axis=1).max()
+                        self.expect(
+                            air <= limits["max_airspeed_m_s"] + max(rounding, v * slack), f"segment {k}: airspeed {air}"
+                        )
             low, high = curve[:, 2].min() + self.origin_alt_m, curve[:, 2].max() + self.origin_alt_m
             self.expect(low >= limits["min_alt_amsl_m"], f"segment {k}: altitude {low} below the band")
             self.expect(high <= limits["max_alt_amsl_m"], f"segment {k}: altitude {high} above the band")
@@ -233,11 +322,11 @@ class _Checker:
             points = np.concatenate([self.curves[k], self.sample(k)])
             excess = float((self.slant_range_m(segment["station"], points) - (station["range_m"] - margin)).max())
             self.expect(excess <= 1e-9, f"segment {k}: {excess} m outside {segment['station']}'s range less the margin")
-            if "min_elevation_deg" in station:
-                offset = points - self.plane(station)
-                # Flat-plane angle; a degree's hundredth covers the earth's curvature inside one range.
-                angle = np.degrees(np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1]))).min()
-                self.expect(angle >= station["min_elevation_deg"] - 0.2, f"segment {k}: elevation {angle} deg")
+            if station.get("min_elevation_deg") is not None:
+                low = station["min_elevation_deg"] - float(self.elevation_deg(segment["station"], points).min())
+                self.expect(
+                    low <= 1e-9, f"segment {k}: {low} degrees below the elevation {segment['station']} hears at"
+                )
 
     def check_handovers(self) -> None:
         joints = [
@@ -282,6 +371,11 @@ class _Checker:
         self.expect(
             min(early, late) >= needed - 1e-9, f"{label}: overlap {early} before and {late} after, asked {needed}"
         )
+        margin = self.options["range_margin_m"]
+        around = np.array([self.at(t) for t in np.linspace(time - needed, time + needed, 81)])
+        for station in (before, after):
+            lost = float(self.unheard(station, around, margin).max())
+            self.expect(lost <= 1e-6, f"{label}: {lost} outside {station}'s coverage within the overlap asked for")
         for side, station in (("from", before), ("to", after)):
             full = self.stations[station]["range_m"]
             left = full - float(self.slant_range_m(station, place[None])[0])
@@ -289,17 +383,14 @@ class _Checker:
                 abs(handover["margin"][f"{side}_m"] - left) <= POSITION_TOLERANCE_M, f"{label}: margin.{side}_m, {left}"
             )
             inside = np.linspace(window["start_s"], window["end_s"], 400)
-            worst = float(self.slant_range_m(station, np.array([self.at(t) for t in inside])).max()) - full
+            worst = float(self.unheard(station, np.array([self.at(t) for t in inside])).max())
             self.expect(worst <= 1e-3, f"{label}: {worst} m outside {station}'s range within the overlap")
         # Just outside the window one of the two is lost, unless the mission itself ends there.
         for edge, step in ((window["start_s"], -WINDOW_TOLERANCE_S), (window["end_s"], WINDOW_TOLERANCE_S)):
             probe = edge + step
             if 0.0 <= probe <= self.plan["mission_time_s"]:
                 point = self.at(probe)[None]
-                covered = all(
-                    float(self.slant_range_m(s, point)[0]) <= self.stations[s]["range_m"] - 1e-3
-                    for s in (before, after)
-                )
+                covered = all(float(self.unheard(s, point)[0]) <= -1e-3 for s in (before, after))
                 self.expect(not covered, f"{label}: both still cover at {probe}, outside the stated overlap")
 
     def check_course(self, label: str, place: Array, velocity: Array, course_deg: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 from gcs.mission import Mission
 from gcs.plan import Plan
@@ -35,6 +36,22 @@ def relay_document(
         },
         "options": options,
     }
+
+
+def wide_document() -> dict[str, Any]:
+    """A row of four stations and ``beside``, near the second, so that there are two ways round; all with ids."""
+    document: dict[str, Any] = relay_document(4)
+    document["stations"].append({"id": "beside", "east_m": 630.0, "north_m": 240.0, "up_m": 0.0, "range_m": 500.0})
+    for k, station in enumerate(document["stations"]):
+        station["system_id"] = 241 + k
+    document["safe_points"] = [{"id": "field", "east_m": 0.0, "north_m": 0.0, "up_m": 5.0}]
+    return document
+
+
+@cache
+def wide_plan() -> Plan:
+    """The plan of `wide_document`, which leaves ``beside`` out."""
+    return plan_mission(Mission.from_document(wide_document()), fast=True)
 
 
 @cache

@@ -27,7 +27,8 @@ EPOCH_UNIX_S = 1_795_000_000.0
 @dataclass
 class Proxy:
     """What the links do to frames: loses ``loss`` of them, delays each by ``latency_s`` plus up to ``jitter_s`` (which
-    reorders them), repeats ``duplicates`` of them. ``cuts`` are (station, from_s, to_s), both directions."""
+    reorders them), repeats ``duplicates`` of them. ``cuts`` are (link, from_s, to_s), both directions; ``later_s`` is
+    more latency of single links. A link is named by its station, a station's second one ``station/2``."""
 
     seed: int = 0
     loss: float = 0.0
@@ -35,17 +36,19 @@ class Proxy:
     jitter_s: float = 0.0
     duplicates: float = 0.0
     cuts: list[tuple[str, float, float]] = field(default_factory=list)
+    later_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._random = random.Random(self.seed)
 
-    def deliveries(self, station: str, now_s: float) -> list[float]:
+    def deliveries(self, link: str, now_s: float) -> list[float]:
         """When a frame sent now arrives: no time, one, or several."""
-        if any(name == station and low <= now_s < high for name, low, high in self.cuts):
+        latency_s = self.latency_s + self.later_s.get(link, 0.0)
+        if any(name == link and low <= now_s < high for name, low, high in self.cuts):
             return []
         copies = 2 if self.duplicates and self._random.random() < self.duplicates else 1
         return [
-            now_s + self.latency_s + (self._random.random() * self.jitter_s if self.jitter_s else 0.0)
+            now_s + latency_s + (self._random.random() * self.jitter_s if self.jitter_s else 0.0)
             for _ in range(copies)
             if not (self.loss and self._random.random() < self.loss)
         ]
@@ -76,10 +79,36 @@ class Truth:
 
 
 def plan_home(plan: Plan, below_m: float = 5.0) -> tuple[float, float, float]:
-    """Flat ground under a plan's start."""
+    """The place under a plan's start, and the height of flat ground ``below_m`` under the plan's lowest point.
+
+    The simulated ground is level everywhere: a plan that descends below its start must not meet it.
+    """
     start = plan.trajectory.evaluate(0.0)
     lat, lon = plan.plane.to_geodetic(float(start[0]), float(start[1]))
-    return float(lat), float(lon), float(start[2]) + plan.plane.alt_amsl_m - below_m
+    lowest_m = float(plan.trajectory.evaluate(np.linspace(0.0, plan.mission_time_s, 1000))[:, 2].min())
+    return float(lat), float(lon), lowest_m + plan.plane.alt_amsl_m - below_m
+
+
+def one_station_at_a_time(flight: VirtualFlight) -> None:
+    """Every setpoint obeyed was sent by the station that held the gate then, with that station's own system id.
+
+    And no two stations sent at one tick.
+    """
+    ids = {s.id: s.system_id for s in flight.core.context.plan.mission.stations}
+    assert flight.accepted
+    for setpoint in flight.accepted:
+        assert setpoint.station == setpoint.holder_when_sent
+        assert setpoint.system_id == ids[setpoint.station]
+    sent = [a.sent_s for a in flight.accepted]
+    assert len(set(sent)) == len({(a.sent_s, a.station) for a in flight.accepted}), "two stations sent at one tick"
+
+
+def handover_gaps_s(flight: VirtualFlight, around_s: float = 2.0) -> list[float]:
+    """The longest time between setpoints obeyed about each handover, in the vehicle's time."""
+    return [
+        flight.longest_gap_s(e.time_s - around_s, e.time_s + around_s)
+        for e in flight.said("handover", state="requested")
+    ]
 
 
 class VirtualFlight:
@@ -95,27 +124,33 @@ class VirtualFlight:
         request: dict[str, object] | None = None,
         truth_every_s: float = 0.5,
         frugal: bool = False,
+        ways: int = 1,
+        reserve: tuple[str, ...] = (),
     ) -> None:
         self.plan = plan
-        stations = list(dict.fromkeys(plan.station_ids))
+        stations = list(dict.fromkeys([*plan.station_ids, *reserve]))
         self.proxy = proxy or Proxy()
+        # A link is a station's way to the vehicle, and a link of the vehicle's own.
+        self.links = [s if way == 1 else f"{s}/{way}" for way in range(1, ways + 1) for s in stations]
+        self._urls = {link: f"udpout:127.0.0.1:{20000 + k}" for k, link in enumerate(self.links)}
+        self._link_of = {url: link for link, url in self._urls.items()}
         self.request = FlightRequest(
             plan=plan.to_document(),
             autopilot=autopilot,
-            links={s: f"udpout:127.0.0.1:{20000 + k}" for k, s in enumerate(stations)},
+            links={s: [self._urls[link] for link in self.links if link.split("/")[0] == s] for s in stations},
             **(request or {}),  # type: ignore[arg-type]
         )
         self.core = FlightCore(self.request, epoch_unix_s=EPOCH_UNIX_S)
         self.sent: list[tuple[float, str, str | None, bytes]] = []
         """Every frame the core let out: when, from which station, who was in control, the frame."""
-        settings = {"home": plan_home(plan), "links": len(stations), **(config or {})}
+        settings = {"home": plan_home(plan), "links": len(self.links), **(config or {})}
         self.vehicle = SimulatedAutopilot(
             SimulatorConfig(autopilot=autopilot, **settings),  # type: ignore[arg-type]
             self._on_setpoint,
         )
         if frugal:
             # What every link sends by itself, cut down as over a slow radio: the flight asks for what it needs.
-            for link in range(len(stations)):
+            for link in range(len(self.links)):
                 for number in list(self.vehicle.telemetry.builders):
                     if number != 0:
                         self.vehicle.telemetry.set_interval(link, number, None)
@@ -156,32 +191,34 @@ class VirtualFlight:
         self.now_s = max(self.now_s, next_s)
         now_s = self.now_s
         while self._queue and self._queue[0][0] <= now_s:
-            _, _, station, up, data, sent_s, holder = heapq.heappop(self._queue)
+            _, _, link, up, data, sent_s, holder = heapq.heappop(self._queue)
+            station = link.split("/")[0]
             if up:
                 self._delivering = (sent_s, station, holder)
-                self.vehicle.receive(self.stations.index(station), data, now_s)
+                self.vehicle.receive(self.links.index(link), data, now_s)
                 self._delivering = None
             elif not self.frozen:
-                self.core.receive(station, data, now_s)
+                self.core.receive(station, data, now_s, self._urls[link])
         self.vehicle.step(now_s)
         if not self.frozen and self._core_s <= now_s:
             self._core_s = self.core.step(now_s)
             holder = self.core.context.gate.holder
             for station, data in self.core.take_outgoing():
                 self.sent.append((now_s, station, holder, data))
-                self._put(station, True, data, holder)
+                for url in self.core.routes(station, data):
+                    self._put(self._link_of[url], True, data, holder)
             self.core.tell()
             self.events += self.core.take_events()
-        for link, data in self.vehicle.take_outgoing():
-            self._put(self.stations[link], False, data, None)
+        for number, data in self.vehicle.take_outgoing():
+            self._put(self.links[number], False, data, None)
         if now_s >= self._truth_s:
             self._truth_s = now_s + self._truth_every_s
             self._note_truth()
 
-    def _put(self, station: str, up: bool, data: bytes, holder: str | None) -> None:
-        for time_s in self.proxy.deliveries(station, self.now_s):
+    def _put(self, link: str, up: bool, data: bytes, holder: str | None) -> None:
+        for time_s in self.proxy.deliveries(link, self.now_s):
             self._count += 1
-            heapq.heappush(self._queue, (time_s, self._count, station, up, data, self.now_s, holder))
+            heapq.heappush(self._queue, (time_s, self._count, link, up, data, self.now_s, holder))
 
     def _on_setpoint(self, now_s: float, link: int, system_id: int, name: str, target: dict[str, object]) -> None:
         sent_s, station, holder = self._delivering or (math.nan, "?", None)
@@ -230,6 +267,14 @@ class VirtualFlight:
         """Longest time between setpoints obeyed in a span."""
         times = [a.time_s for a in self.accepted if from_s <= a.time_s <= to_s]
         return float(np.diff([from_s, *times, to_s]).max())
+
+    def behind_m(self) -> np.ndarray:
+        """Distances of the true positions in cruise from where the reference was at that very moment."""
+        cruise = [t for t in self.truth if t.state is FlightState.CRUISE and t.plan_s is not None]
+        east, north = self.plan.plane.to_plane([t.lat_deg for t in cruise], [t.lon_deg for t in cruise])
+        up = [t.alt_amsl_m - self.plan.plane.alt_amsl_m for t in cruise]
+        asked = self.core.context.plan.trajectory.evaluate(np.array([float(t.plan_s or 0.0) for t in cruise]))
+        return np.asarray(np.linalg.norm(np.column_stack([east, north, up]) - asked, axis=-1))
 
     def cross_track_m(self, every: int = 1) -> np.ndarray:
         """Distances of the true positions in cruise from the planned path near the reference's place on it.

@@ -78,18 +78,28 @@ class FlightView:
     def _line(self, kind: str, state: str, data: Any) -> str | None:
         if kind == "state":
             self.reason = str(data.get("reason") or "")
+            if data["to"] == "preflight":
+                self.failed_checks.clear()
+            if data["to"] == "refused" and self.failed_checks:
+                # Every one of them has its own line, and they are told again at the end.
+                return "refused: the preflight failed"
             return f"{data['to']} ({self.reason})" if self.reason else str(data["to"])
         if kind == "check" and data["level"] != "pass":
             required = f"; required: {data['required']}" if data.get("required") else ""
-            if data["level"] == "failure":
+            if data["level"] != "warning":
                 self.failed_checks.append(dict(data))
-            return f"preflight {data['level']}: {data['name']}: {data['message']}{required}"
+            fix = f"; {data['fix']}" if data.get("fix") else ""
+            return f"preflight {data['level']}: {data['name']}: {data['message']}{required}{fix}"
         if kind == "handover" and data["state"] in _WORTH_TELLING:
             reason = f" ({data['reason']})" if data.get("reason") and data["state"] != "released" else ""
             return f"handover {data['index']}, {data['from']} to {data['to']}: {_DONE[data['state']]}{reason}"
         if kind == "alarm":
             more = ", ".join(f"{k} {v}" for k, v in data.items() if k != "what")
             return f"ALARM: {data['what']}" + (f" ({more})" if more else "")
+        if kind == "link":
+            return f"{data['station']} now sends over {data['url']} instead of {data['before']}"
+        if kind == "replanned":
+            return f"a new plan is flown, {clock(data['mission_time_s'])} in all"
         if kind == "parameter":
             return f"parameter {data['name']}: {data['before']} set to {data['after']}"
         if kind == "text":
@@ -97,6 +107,22 @@ class FlightView:
         if kind == "word":
             return f"word: {data['word']}"
         return None
+
+
+def _link_lines(link: Any) -> list[str]:
+    """One link's figures, or a line for each of a station's several."""
+    lines = []
+    for way in link.get("ways") or [link]:
+        if way.get("round_trip_ms") is None:
+            lines.append(f" ({way['url']}): never answered")
+            continue
+        sends = " (sends)" if way.get("sends") else ""
+        lines.append(
+            f" ({way['url']}){sends}: {100.0 * (way['loss'] or 0.0):.1f} % of frames lost, "
+            f"{100.0 * (way['round_loss'] or 0.0):.1f} % of probes, "
+            f"latency {way['latency_ms']:.0f} ms, jitter {way['jitter_ms']:.0f} ms"
+        )
+    return lines
 
 
 def result_lines(plan: Plan, result: FlightResult, log: str | None = None) -> list[str]:
@@ -123,6 +149,8 @@ def result_lines(plan: Plan, result: FlightResult, log: str | None = None) -> li
             f"  stream        late by {lateness['p50_ms']:.1f} ms (median), {lateness['p99_ms']:.1f} ms (99 %), "
             f"{lateness['worst_ms']:.1f} ms at worst"
         )
+    for station, link in (summary.get("links") or {}).items():
+        lines += [f"  link          {station}{text}" for text in _link_lines(link)]
     if log:
         lines.append(f"  log           {log}")
     return lines

@@ -41,6 +41,7 @@ def fly(
         typer.Option(
             metavar="[ID=]URL",
             help="How a station reaches the vehicle; repeat it for each station, or give one URL without ID for all. "
+            "Repeated for one station: all are listened to, and one sends until it fails. "
             "udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.",
         ),
     ],
@@ -54,9 +55,19 @@ def fly(
         typer.Option(help="Whether unsafe failsafe parameters are set on the vehicle; auto: on our simulator alone."),
     ] = "auto",
     handover_way: Annotated[
-        Literal["auto", "gate", "range", "operator_control"],
-        typer.Option(help="How the vehicle is told of a handover."),
+        Literal["auto", "gate", "range", "parameter", "operator_control"],
+        typer.Option(
+            help="How the vehicle is told of a handover; parameter: ArduPilot hears one station at a time and is told "
+            "of each (before 4.7 the only way with several)."
+        ),
     ] = "auto",
+    rally: Annotated[
+        bool,
+        typer.Option("--rally/--no-rally", help="Upload the mission's safe points as rally points for the flight."),
+    ] = True,
+    fence: Annotated[
+        bool, typer.Option("--fence", help="Lay a fence around the plan and every straight way home, for the flight.")
+    ] = False,
     signing_key: Annotated[
         str | None, typer.Option(metavar="file:PATH|env:NAME", help="Sign every frame with this 32-byte key.")
     ] = None,
@@ -82,6 +93,8 @@ def fly(
         log_path=log,
         set_parameters=set_parameters,
         handover_way=handover_way,
+        rally=rally,
+        fence=fence,
         signing_key=signing_key,
         allow_unsigned=allow_unsigned,
     )
@@ -91,13 +104,17 @@ def fly(
     return 0
 
 
-def links_of(plan: Plan, given: list[str]) -> dict[str, str]:
-    """A URL for each station the plan uses, from ``ID=URL`` and bare URLs. Raises `BadInputError`."""
+def links_of(plan: Plan, given: list[str]) -> dict[str, list[str]]:
+    """The URLs of each station the plan uses or holds in reserve, from ``ID=URL`` and bare URLs.
+
+    Bare ones are for the plan's stations without any of their own. Raises `BadInputError`.
+    """
     from link.endpoint import parse_url
     from link.errors import EndpointUrlError
 
     known = {station.id for station in plan.mission.stations}
-    links: dict[str, str] = {}
+    own: dict[str, list[str]] = {}
+    everybodys: list[str] = []
     for text in given:
         try:
             parse_url(text)
@@ -115,10 +132,12 @@ def links_of(plan: Plan, given: list[str]) -> dict[str, str]:
                 parse_url(url)
             except EndpointUrlError as fault:
                 raise BadInputError("a link cannot be read", {"where": "--link", "what": str(fault)}) from None
-        for name in plan.station_ids if station is None else [station]:
-            if station is not None or name not in links:
-                links[name] = url
-    return {name: url for name, url in links.items() if name in plan.station_ids}
+        (everybodys if station is None else own.setdefault(station, [])).append(url)
+    if everybodys:
+        for name in plan.station_ids:
+            own.setdefault(name, everybodys)
+    usable = {station.id for station in plan.mission.stations if station.system_id is not None}
+    return {name: urls for name, urls in own.items() if name in usable}
 
 
 def request_of(plan: Plan, **fields: Any) -> FlightRequest:
@@ -226,7 +245,6 @@ def conclude(
 ) -> None:
     """Print the report; raises `ContingencyError` or `FaultError` where the flight did not end as planned."""
     from api.cli.flight_view import result_lines
-    from api.cli.simulator import home_under
 
     if result.exit_code == 1:
         raise FaultError("the flight ended by a fault of ours", {"what": result.reason})
@@ -241,7 +259,7 @@ def conclude(
             "what": check["message"],
             "value": check.get("value"),
             "allowed": check.get("required"),
-            "fix": f"a simulator is put there with --home {home_under(plan)}" if check["name"] == "transit" else None,
+            "fix": _fix(plan, check),
         }
         for check in view.failed_checks
     ]
@@ -250,3 +268,14 @@ def conclude(
             "the flight was refused before take-off", *(paragraphs or [{"what": view.reason or result.reason}])
         )
     raise ContingencyError(f"the flight ended in {result.state}", {"what": view.reason, "report": report})
+
+
+def _fix(plan: Plan, check: Mapping[str, Any]) -> str | None:
+    """What to do about a finding of the preflight, in terms of the command line."""
+    from api.cli.simulator import home_under
+
+    if check["name"] == "transit":
+        return f"{check.get('fix')}; a simulator is put there with --home {home_under(plan)}"
+    if check.get("set"):
+        return f"{check.get('fix')}, or let `fly` do it with --set-parameters yes"
+    return check.get("fix")

@@ -26,6 +26,10 @@ def plan(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the plan document instead of the summary.")] = False,
     fast: Annotated[bool, typer.Option("--fast", help="Plan quicker, for a slower flight.")] = False,
+    costs: Annotated[
+        bool,
+        typer.Option("--costs", help="Plan again without each option and limit, and say how many seconds it costs."),
+    ] = False,
     option: Annotated[
         list[str] | None,
         typer.Option(
@@ -54,6 +58,10 @@ def plan(
     mission = inputs.mission(document, mission_file)
     try:
         result = plan_mission(mission, fast=fast)
+        if costs:
+            from gcs.costs import with_costs
+
+            result = with_costs(result, method="fast" if fast else "joint")
     except MissionInfeasible as error:
         raise inputs.infeasible(error) from None
     except PlanningFailed as error:

@@ -170,6 +170,55 @@ def land(services: Wired, flight_id: FlightId, body: schemas.Said | None = None)
     return _say(services, flight_id, Word.LAND, body)
 
 
+def _flown_plan(services: Services, flight_id: str, plan_sha256: str) -> dict[str, Any]:
+    """A plan this flight has flown: its mission's, or one it was given in the air."""
+    record = services.store.flights.get(flight_id)
+    if plan_sha256 == record.plan_sha256:
+        mission = services.store.missions.get(record.mission_id, record.version)
+        return dict(services.plan_of(mission).to_document())
+    return services.desk.replanned(flight_id, plan_sha256)
+
+
+@router.post("/{flight_id}/replan", summary="Plan on from the present state")
+def replan(services: Wired, flight_id: FlightId, body: schemas.ReplanWish | None = None) -> schemas.ReplanProposal:
+    """A new plan from where the flight stands, or from a moment ahead, for a person to accept; nothing changes yet.
+
+    Flown from launch to the new end it is one plan: the part already flown, and the new one joined on without a jump.
+    """
+    wish = body or schemas.ReplanWish.model_validate({})
+    with shared.domain_errors():
+        proposal = services.replanning.propose(
+            flight_id,
+            lambda sha256: _flown_plan(services, flight_id, sha256),
+            destination=wish.destination,
+            excluded_stations=wish.excluded_stations,
+            ahead_s=wish.ahead_s,
+        )
+    return schemas.ReplanProposal.model_validate(proposal.to_document())
+
+
+@router.post("/{flight_id}/replan/accept", summary="Fly a proposed plan")
+def accept_replan(services: Wired, flight_id: FlightId, body: schemas.ReplanWord) -> schemas.FlightDetail:
+    """The streamer judges it once more; handovers and contingencies are those of the new plan from now on."""
+    with shared.domain_errors():
+        services.store.flights.get(flight_id)
+        services.replanning.accept(flight_id, body.plan_sha256, by=body.by or "REST", reason=body.reason or "")
+    return get_flight(services, flight_id)
+
+
+@router.get(
+    "/{flight_id}/plan",
+    summary="Fetch the plan being flown",
+    responses={200: {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/PlanBody"}}}}},
+)
+def flown_plan(services: Wired, flight_id: FlightId) -> Response:
+    """The mission's plan, or the last one the flight was given in the air."""
+    with shared.domain_errors():
+        record = services.store.flights.get(flight_id)
+        sha256 = services.desk.look(flight_id).plan_sha256 or record.plan_sha256
+        return JSONResponse(_flown_plan(services, flight_id, sha256))
+
+
 @router.post("/{flight_id}/handovers/{index}/ready", summary="Stand by to take over")
 def ready(
     services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None

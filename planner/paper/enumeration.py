@@ -4,6 +4,11 @@ The number of sequences explodes with the map, so the enumeration is a generator
 for, and go on later. With pruning, what cannot beat the best plan so far is passed over: nothing flies a corridor
 faster than its shortest polyline at full speed with ramps at both ends, and whatever begins with a partial sequence is
 bounded by the polyline through that and a straight line on to the destination.
+
+The first and the last piece are slower than that, which prunes far more. A piece of degree 5 from rest has
+Q_0 = Q_1 = 0, so it spans l <= T/5 (|Q_2| + |Q_3| + |Q_4|) with |Q_1+k| <= min(v, k a T/4): never more than 0.6 v on
+average. The T that takes is concave in l, hence above its chord between the nearest and the farthest l there can be,
+and a chord is a constant and a weight on that piece's length in the polyline's program.
 """
 
 from __future__ import annotations
@@ -21,6 +26,7 @@ from planner.corridor import Corridor, Piece
 from planner.discs import covering_stations
 from planner.errors import SolverError
 from planner.paper.am import Clock, plan_paper
+from planner.paper.boundary import DEGREE
 from planner.paper.station_graph import shortest_sequence, weighted_edges
 from planner.paper.waypoints import polyline_length_m, shortest_polyline
 from planner.problem import Problem
@@ -96,7 +102,13 @@ def enumerate_plans(
             yield Evaluation(sequence, math.inf, best, planned, pruned, clock() - started)
             continue
         if station in targets and not (prune and sequence == first):
-            yield plan(sequence)
+            if prune and best is not None:
+                whole_s = sequence_bound_s(problem, sequence, complete=True)
+            if prune and best is not None and whole_s >= best.trajectory.duration_s:
+                pruned += 1
+                yield Evaluation(sequence, math.inf, best, planned, pruned, clock() - started)
+            else:
+                yield plan(sequence)
         if len(sequence) < most:
             path.append(station)
             walk.append(iter(neighbours[station]))
@@ -133,17 +145,60 @@ def plan_by_enumeration(
     return Solution(best.trajectory, best.certificate, "enumeration", best.lower_bound_s, last.planned, (note,))
 
 
-def sequence_bound_s(problem: Problem, sequence: Sequence) -> float:
-    """A time nothing that begins with ``sequence`` can beat, and so none for the sequence itself."""
+def sequence_bound_s(problem: Problem, sequence: Sequence, *, complete: bool = False) -> float:
+    """A time nothing that begins with ``sequence`` can beat, and so none for the sequence itself.
+
+    ``complete``: for this sequence alone, with no more to follow, which bounds it more tightly.
+    """
     pieces = tuple(Piece(station, leg, (station,)) for leg, station in enumerate(sequence))
     # The destination is where the polyline ends, not asked to be inside the last range.
-    length_m = polyline_length_m(shortest_polyline(problem, Corridor(sequence, pieces, 0.0)))
-    return fastest_time_s(
+    corridor = Corridor(sequence, pieces, 0.0)
+    length_m = polyline_length_m(shortest_polyline(problem, corridor)) * (1.0 - _POLYLINE_EXCESS)
+    bound_s = fastest_time_s(
         problem.limits,
-        length_m * (1.0 - _POLYLINE_EXCESS),
+        length_m,
         float(np.linalg.norm(problem.start_velocity_m_s)),
         float(np.linalg.norm(problem.start_acceleration_m_s2)),
     )
+    at_rest = not (problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any())
+    if problem.min_overlap_s > 0.0 or not at_rest or len(sequence) < 2:
+        return bound_s
+    weights, seconds = np.ones(len(sequence)), 0.0
+    ends = [(0, problem.start_m, sequence[0], sequence[1])]
+    if complete:
+        ends.append((-1, problem.destination_m, sequence[-1], sequence[-2]))
+    for piece, end_m, station, neighbour in ends:
+        constant_s, weights[piece] = _chord_from_rest(problem, end_m, station, neighbour)
+        seconds += constant_s
+    # The last piece of a partial sequence is followed by others, and is then not the one that ends at rest.
+    polyline = shortest_polyline(problem, corridor, weights=weights)
+    weighted_m = float(weights @ np.linalg.norm(np.diff(polyline, axis=0), axis=1)) * (1.0 - _POLYLINE_EXCESS)
+    return max(bound_s, seconds + weighted_m / problem.limits.max_speed_m_s)
+
+
+def _chord_from_rest(problem: Problem, end_m: Array, station: int, neighbour: int) -> tuple[float, float]:
+    """(c, w): from rest at ``end_m`` into the lens of two stations, a piece of length l takes at least c + w l / v."""
+    away = np.linalg.norm(problem.station_positions_m[[station, neighbour]] - end_m, axis=1)
+    ranges = problem.ranges_m[[station, neighbour]]
+    nearest, farthest = max(0.0, float((away - ranges).max())), float((away + ranges).min())
+    low_s, high_s = (shortest_from_rest_s(problem, length_m) for length_m in (nearest, farthest))
+    slope = (high_s - low_s) / (farthest - nearest) if farthest > nearest else 0.0
+    return low_s - slope * nearest, slope * problem.limits.max_speed_m_s
+
+
+def shortest_from_rest_s(problem: Problem, length_m: float) -> float:
+    """The least T with T/5 (min(v, a T/4) + min(v, 2 a T/4) + min(v, 3 a T/4)) >= length."""
+    speed, accel = problem.limits.max_speed_m_s, problem.limits.max_accel_m_s2
+    counts = np.arange(1, 4)
+
+    def spans_m(duration_s: float) -> float:
+        return float(duration_s / DEGREE * np.minimum(speed, counts * accel * duration_s / 4.0).sum())
+
+    low, high = 0.0, max(length_m / (0.6 * speed), 4.0 * speed / accel)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if spans_m(middle) < length_m else (low, middle)
+    return low
 
 
 def _neighbours(problem: Problem) -> list[list[int]]:

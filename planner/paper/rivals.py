@@ -69,9 +69,9 @@ def plan_by_rival(
 ) -> Solution:
     """A certified plan by one of `RIVALS` on Dijkstra's sequence (or ``sequence``).
 
-    Stops at ``time_limit_s`` or after ``max_evaluations`` of P5, whichever is first; both are looked at between
-    evaluations, and native code that never comes back can only be ended with its process. ``record`` collects every
-    improvement; an entry's number counts evaluations. `Solution.iterations` counts evaluations too.
+    Stops at ``time_limit_s`` (of ``clock``) or after ``max_evaluations`` of P5, whichever is first; both are looked at
+    between evaluations, and native code that never comes back can only be ended with its process. ``record`` collects
+    every improvement; an entry's number counts evaluations. `Solution.iterations` counts evaluations too.
 
     Raises `InfeasibleError` where the ranges do not chain together, `ProblemError` for a rival that does not exist and
     for a start that is not at rest, `ImportError` without NLopt.
@@ -169,8 +169,6 @@ def _nlopt(algorithm: str) -> Callable[[TimeAllocation], None]:
             optimiser.set_lower_bounds(low)
             optimiser.set_upper_bounds(high)
         optimiser.set_xtol_rel(1e-6)
-        if objective.time_limit_s is not None:
-            optimiser.set_maxtime(objective.time_limit_s)
         # Told to stop, out of digits, or unable to go on: what was found so far counts.
         with suppress(nlopt.ForcedStop, nlopt.RoundoffLimited, RuntimeError):
             optimiser.optimize(objective.start_s / unit)

@@ -19,8 +19,12 @@ from planner.problem import Problem
 Array = NDArray[np.float64]
 
 
-def shortest_polyline(problem: Problem, corridor: Corridor, refuges: Refuges | None = None) -> Array:
+def shortest_polyline(
+    problem: Problem, corridor: Corridor, refuges: Refuges | None = None, weights: Array | None = None
+) -> Array:
     """Start, joints and destination ``(S + 1, 3)`` of the shortest polyline along ``corridor``.
+
+    ``weights`` ``(S,)``: what a metre of each piece counts, 1 when not given.
 
     Every joint lies in all its balls and in the band at zero tolerance. Where the solver gives up, the refuges
     themselves: longer, but always there. Raises `InfeasibleError` where two neighbours of the corridor do not meet.
@@ -30,7 +34,7 @@ def shortest_polyline(problem: Problem, corridor: Corridor, refuges: Refuges | N
     free = np.flatnonzero(~refuges.thin)
     if len(free):
         try:
-            joints[free] = _solve(problem, corridor, refuges, free)
+            joints[free] = _solve(problem, corridor, refuges, free, weights)
         except SolverError:
             joints = refuges.points_m.copy()
     return settled(problem, corridor, refuges, joints)
@@ -49,7 +53,9 @@ def polyline_length_m(waypoints_m: Array) -> float:
     return float(np.linalg.norm(np.diff(waypoints_m, axis=0), axis=1).sum())
 
 
-def _solve(problem: Problem, corridor: Corridor, refuges: Refuges, free: NDArray[np.int64]) -> Array:
+def _solve(
+    problem: Problem, corridor: Corridor, refuges: Refuges, free: NDArray[np.int64], weights: Array | None
+) -> Array:
     """The free joints ``(F, 3)``; thin ones stay at their refuge."""
     pieces, limits = len(corridor), problem.limits
     unit = float(problem.ranges_m[list(corridor.sequence)].mean())
@@ -112,7 +118,7 @@ def _solve(problem: Problem, corridor: Corridor, refuges: Refuges, free: NDArray
                 offset.append((known[k, axis] - problem.station_positions_m[station, axis]) / unit)
             second_order.append(3)
     cost = np.zeros(3 * len(free) + pieces)
-    cost[lengths] = 1.0
+    cost[lengths] = 1.0 if weights is None else weights
     program = ConeProgram(
         cost,
         np.array(rows),

@@ -159,6 +159,50 @@ def test_hold_shifts_the_schedule_and_abort_ends_in_a_contingency(
 
 
 @pytest.mark.slow
+def test_a_new_plan_is_proposed_accepted_and_flown(client: httpx.Client, planned: dict[str, Any], vehicle: str) -> None:
+    """From a hold: back to where it began; the service plans, a person accepts, the streamer flies it."""
+    with flight_of(client, planned) as flight:
+        address = f"/v1/flights/{flight['id']}"
+        assert "cannot be replanned" in assert_problem(client.post(f"{address}/replan"), 409)["detail"]
+        assert launch(client, wait_for(client, flight["id"], "ready")).status_code == 200
+        wait_for(client, flight["id"], "cruise")
+        assert client.post(f"{address}/hold").status_code == 200
+        until = time.monotonic() + 20
+        while time.monotonic() < until:
+            # Refused while it is coming to a stop.
+            answer = client.post(f"{address}/replan", json={"destination": {"east_m": 0, "north_m": 0, "up_m": 110}})
+            if answer.status_code == 200:
+                break
+            assert_problem(answer, 409)
+            time.sleep(0.1)
+        proposal = answer.json()
+        assert (proposal["at_rest"], proposal["decide_by_t_plus_s"]) == (True, None)
+        assert proposal["stations"] == ["west"]
+        assert proposal["plan"]["mission"]["destination"] == {"east_m": 0.0, "north_m": 0.0, "up_m": 110.0}
+        assert client.get(address).json()["phase"] == "holding"
+        assert client.get(f"{address}/plan").json()["plan_sha256"] == planned["plan_sha256"]
+
+        stations = {"excluded_stations": ["west", "east"]}
+        assert_problem(client.post(f"{address}/replan", json=stations), 422)
+        far = {"destination": {"east_m": 9000, "north_m": 0, "up_m": 110}}
+        assert assert_problem(client.post(f"{address}/replan", json=far), 409)["reason"] == "destination_uncovered"
+        unknown = client.post(f"{address}/replan/accept", json={"plan_sha256": "0" * 64})
+        assert "has been proposed" in assert_problem(unknown, 404)["detail"]
+
+        word = {"plan_sha256": proposal["plan_sha256"], "by": "me", "reason": "the patient is elsewhere"}
+        accepted = client.post(f"{address}/replan/accept", json=word)
+        assert accepted.status_code == 200, accepted.text
+        done = wait_for(client, flight["id"], "completed", timeout_s=120)
+        assert done["result"]["plan_sha256"] == proposal["plan_sha256"]
+        assert done["result"]["handovers"] == 0
+        assert done["live"]["replanned_sha256"] == proposal["plan_sha256"]
+        assert client.get(f"{address}/plan").json() == proposal["plan"]
+        events = client.get(f"{address}/events", params={"limit": 1000}).json()["items"]
+        assert [e["data"]["word"] for e in events if e["kind"] == "word"] == ["launch", "hold", "replan"]
+        assert_problem(client.post(f"{address}/replan"), 409)
+
+
+@pytest.mark.slow
 def test_a_flight_outlives_the_service_which_finds_it_again(tmp_path: Path) -> None:
     server = Server(tmp_path / "d")
     with httpx.Client(base_url=server.address, timeout=60) as client, Children() as children:
@@ -245,7 +289,7 @@ def test_a_link_the_streamer_refuses_ends_the_flight_and_frees_the_vehicle(
         assert "no-such-device" in str(problem["errors"])
 
 
-@pytest.mark.parametrize("word", ["hold", "resume", "abort", "land", "handovers/1/ready"])
+@pytest.mark.parametrize("word", ["hold", "resume", "abort", "land", "replan", "handovers/1/ready"])
 def test_words_to_an_unknown_flight(client: httpx.Client, word: str) -> None:
     assert_problem(client.post(f"/v1/flights/none/{word}"), 404)
     assert_problem(client.get("/v1/flights/none"), 404)

@@ -345,9 +345,7 @@ def test_start_state_is_taken_up() -> None:
 
 
 def test_a_start_state_on_the_earth_is_along_true_axes() -> None:
-    plan = plan_mission(
-        Mission.from_document(wgs84(options__start_state={"velocity_m_s": [3.0, 12.0, 0.0]})), fast=True
-    )
+    plan = planned(wgs84(options__start_state={"velocity_m_s": [3.0, 12.0, 0.0]}))
     place, velocity = plan.trajectory.evaluate(0.0), plan.trajectory.evaluate(0.0, 1)
     true = plan.plane.true_axes(place[0], place[1], place[2]) @ velocity[:2]
     assert true == pytest.approx([3.0, 12.0], abs=1e-6)

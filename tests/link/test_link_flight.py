@@ -6,12 +6,14 @@ import math
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import pytest
 
 from flight_plans import relay_plan
 from gcs.flight import FlightState, TransitionError, Word
+from gcs.mission import LocalPosition
 from link.context import plain
-from virtual_flight import Proxy, VirtualFlight
+from virtual_flight import Proxy, Truth, VirtualFlight
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 HOLD = {"px4": "HOLD", "ardupilot": "GUIDED"}
@@ -441,3 +443,89 @@ def test_progress_says_where_the_flight_is_and_what_comes_next() -> None:
     assert 0.0 < data["margin_m"] < 400.0
     assert data["error_m"] < 2.0
     assert data["links"]["s2"]["proven_s_ago"] < 2.0
+
+
+# -- latency ----------------------------------------------------------------------------------------------------------
+
+
+@BOTH
+def test_the_links_latency_is_led(autopilot: str) -> None:
+    """200 ms to the vehicle: without a lead it is that much of its speed behind, with one it is where the plan is."""
+    behind = {}
+    for limit_s in (0.0, 0.5):
+        settings = {"lead_limit_s": limit_s}
+        one = flight(autopilot, proxy=Proxy(seed=1, latency_s=0.2), request=settings, truth_every_s=0.1)
+        one.run(until=lambda one=one: one.plan_s >= 14.0, limit_s=100.0)  # type: ignore[misc]
+        fast = [off for off, t in zip(one.behind_m(), _cruise(one), strict=True) if float(t.plan_s or 0.0) > 8.0]
+        behind[limit_s] = float(np.mean(fast))
+        # What is told is what is true.
+        assert one.said("progress")[-1].data["error_m"] == pytest.approx(behind[limit_s], abs=0.5)
+        assert not one.said("alarm")
+    # About 15 m/s x 0.2 s; ArduPilot moves a late target on along its velocity by itself, a little.
+    assert 1.8 < behind[0.0] < 4.0
+    assert behind[0.5] < min(1.0, 0.5 * behind[0.0])
+
+
+def _cruise(one: VirtualFlight) -> list[Truth]:
+    return [t for t in one.truth if t.state is FlightState.CRUISE and t.plan_s is not None]
+
+
+def test_the_lead_follows_the_link_and_steps_with_the_station() -> None:
+    """The second station's link is 150 ms later: from its first setpoint on the lead is its own."""
+    proxy = Proxy(seed=1, latency_s=0.05, later_s={"s2": 0.15})
+    one = VirtualFlight(relay_plan(2), "px4", proxy=proxy, frugal=True, truth_every_s=0.1)
+    one.run(until=lambda: one.plan_s >= 10.0, limit_s=100.0)
+    assert one.core.airborne.lead.seconds == pytest.approx(0.05, abs=0.02)
+    one.run(until=lambda: one.core.context.gate.holder == "s2", limit_s=60.0)
+    one.run_for(0.1)
+    assert one.core.airborne.lead.seconds == pytest.approx(0.2, abs=0.02)
+    handover_s = one.now_s
+    one.run_for(4.0)
+    around = [off for off, t in zip(one.behind_m(), _cruise(one), strict=True) if abs(t.time_s - handover_s) < 3.0]
+    assert max(around) < 1.5
+
+
+# -- a vehicle that cannot follow -------------------------------------------------------------------------------------
+
+
+@BOTH
+def test_a_vehicle_that_tops_out_silently_never_leaves_coverage(autopilot: str) -> None:
+    """The stock vehicle's 10.5 m/s against the plan's 15: slower, told, re-timed; range by its own position."""
+    one = flight(autopilot, config={"faults": ("slow-vehicle",)})
+    assert one.run(limit_s=400.0) is FlightState.COMPLETED
+    assert one.said("alarm", what="the vehicle falls behind")
+    told = one.said("retimed")
+    assert told[-1].data["shift_s"] > 2.0
+    assert all(h["t_plus_s"] > 0.0 for e in told for h in e.data["handovers"])
+    for progress in one.said("progress"):
+        if progress.state is FlightState.CRUISE:
+            assert progress.data["margin_m"] > 0.0
+    assert one.cross_track_m(2).max() < 2.0
+
+
+def test_the_range_told_is_the_vehicles_own_not_the_plans() -> None:
+    """A gust carries it off the path; the margin is that of where it says it is."""
+    one = in_cruise("px4", 8.0, config={"faults": ("wind-gust:15",)})
+    one.run_for(6.0)
+    progress = one.said("progress")[-1]
+    station = one.plan.mission.stations[one.plan.mission.station_index(str(progress.data["station"]))]
+    data = progress.data
+    east, north = one.plan.plane.to_plane(data["lat_deg"], data["lon_deg"])
+    at = station.position
+    assert isinstance(at, LocalPosition)
+    away_m = float(np.linalg.norm([east - at.east_m, north - at.north_m, data["alt_amsl_m"] - at.up_m]))
+    assert data["margin_m"] == pytest.approx(station.range_m - away_m, abs=0.2)
+
+
+def test_a_second_ground_station_is_told_within_a_second() -> None:
+    from link.codec import StationCodec
+    from link.dialect import mavlink
+
+    one = in_cruise("px4", 5.0)
+    beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    one.core.receive("s1", StationCodec(77).encode(beat), one.now_s)
+    heard_s = one.now_s
+    one.run_for(1.0)
+    (alarm,) = one.said("alarm", what="another ground station is on the link")
+    assert alarm.data["system_id"] == 77
+    assert alarm.time_s - heard_s <= 1.0

@@ -16,7 +16,7 @@ import pytest
 from flight_plans import relay_plan
 from flight_processes import Events, free_ports, simulator
 from gcs.flight import FlightState
-from link.control_socket import ControlServer
+from link.control_socket import SOCKET_FILE, ControlServer, connect
 from link.errors import EndpointError, FlightRequestError
 from link.flight import FlightRequest
 from link.link_lock import LinkLocks
@@ -87,6 +87,24 @@ def test_the_recorder_survives_a_full_disk(tmp_path: Path) -> None:
     recorder.close()
     assert recorder._log is not None
     assert recorder._log.dropped == 100
+
+
+def test_a_socket_in_a_folder_of_any_depth(tmp_path: Path) -> None:
+    folder = tmp_path.joinpath(*["a-run-folder-with-a-long-name"] * 8)
+    folder.mkdir(parents=True)
+    path = folder / SOCKET_FILE
+    assert len(str(path)) > 200
+    with pytest.raises(OSError):
+        connect(path)
+    server = ControlServer(path)
+    with connect(path) as client:
+        client.sendall(b'{"id": 1}\n')
+        received: list[tuple[int, dict[str, object]]] = []
+        while not received:
+            received = server.receive()
+    assert [line for _, line in received] == [{"id": 1}]
+    server.close()
+    assert list(folder.iterdir()) == []
 
 
 def test_a_client_that_does_not_read_or_talks_nonsense_disturbs_nobody(tmp_path: Path) -> None:

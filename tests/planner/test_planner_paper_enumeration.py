@@ -12,9 +12,17 @@ import pytest
 from planner_missions import make_problem, paper_problem
 
 from planner import InfeasibleError, Problem, certify
+from planner.joint import Effort, plan_joint
 from planner.lens import adjacent_pairs, covering_stations
 from planner.paper.am import plan_paper
-from planner.paper.enumeration import Evaluation, enumerate_plans, plan_by_enumeration, sequence_bound_s
+from planner.paper.enumeration import (
+    Evaluation,
+    enumerate_plans,
+    plan_by_enumeration,
+    sequence_bound_s,
+    shortest_from_rest_s,
+)
+from planner.paper.station_graph import shortest_sequence
 
 
 @pytest.fixture
@@ -49,7 +57,8 @@ def test_every_simple_sequence_is_planned_once(ladder: Problem) -> None:
     assert best.trajectory.duration_s == min(step.mission_time_s for step in steps)
     for step in steps:
         assert step.mission_time_s == plan_paper(ladder, step.sequence).trajectory.duration_s
-        assert step.mission_time_s > sequence_bound_s(ladder, step.sequence)
+        partial_s = sequence_bound_s(ladder, step.sequence)
+        assert partial_s <= sequence_bound_s(ladder, step.sequence, complete=True) < step.mission_time_s
 
 
 def test_pruning_changes_the_work_and_not_the_answer(ladder: Problem) -> None:
@@ -72,6 +81,32 @@ def test_a_bound_grows_along_its_sequence(name: str) -> None:
     bounds = [sequence_bound_s(problem, sequence[:n]) for n in range(1, len(sequence) + 1)]
     assert all(later >= earlier - 1e-2 for earlier, later in pairwise(bounds))
     assert bounds[-1] < plan_paper(problem, sequence).trajectory.duration_s
+
+
+@pytest.mark.parametrize("name", ["M30_01", "M30_06", "M100_03"])
+def test_the_bound_holds_for_the_papers_problem_and_not_only_for_the_papers_method(name: str) -> None:
+    """Positions and durations solved jointly, a piece a station, is faster than AM, and still not below the bound."""
+    problem = paper_problem(name)
+    sequence = shortest_sequence(problem)
+    joint = plan_joint(problem, sequence, Effort(1, 1))
+    assert joint is not None
+    assert (len(joint.trajectory), joint.trajectory.degree) == (len(sequence), 5)
+    alternating = plan_paper(problem, sequence).trajectory.duration_s
+    bound = sequence_bound_s(problem, sequence, complete=True)
+    assert bound < joint.duration_s < alternating
+    # And close: pruning is worth its work.
+    assert bound > 0.96 * joint.duration_s
+
+
+@pytest.mark.parametrize(
+    ("length_m", "duration_s"),
+    # 50 m/s, 5 m/s2. Up to 13.3 s no control point reaches 50 m/s: T/5 (1 + 2 + 3) 5 T/4 = 1.5 T^2. From 40 s on
+    # all three do: T/5 150 = 30 T. In between at 20 s: 4 (25 + 50 + 50) = 500.
+    [(150.0, 10.0), (500.0, 20.0), (1200.0, 40.0), (3000.0, 100.0), (0.0, 0.0)],
+)
+def test_a_piece_from_rest_takes_its_time(length_m: float, duration_s: float) -> None:
+    problem = make_problem([0, 0, 100], [1000, 0, 100], [[0, 0, 100, 5000]])
+    assert shortest_from_rest_s(problem, length_m) == pytest.approx(duration_s, abs=1e-9)
 
 
 def test_the_enumeration_goes_on_where_it_was_left(ladder: Problem) -> None:

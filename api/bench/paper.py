@@ -1,0 +1,326 @@
+"""The experiments of the seed paper (Qi, Dou and Xin 2023), mission by mission, with our planner beside them.
+
+Table 3: the decoupling approach DC (Dijkstra's sequence, then alternating minimisation AM with delta_T = 1 s) against
+EM, the enumeration of all sequences. Table 4: AM against seven other optimisers over the durations, each given the
+same time.
+
+Work comes in units that are measured, kept and skipped one by one (`api.bench.results`): ``plans`` is this planner and
+DC beside each other, ``enumeration`` is EM, ``allocation`` is one method of Table 4. All times are processor seconds of
+one process, so that other work on the machine does not shorten a time limit; the limits of EM and of Table 4's methods
+are processor seconds too.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from api.bench.cases import PAPER_OPTIONS, Case
+from api.bench.results import Results, fingerprint
+from gcs.mission import Mission
+from gcs.planning import lay_out, plan_mission, product_version
+from planner.errors import SolverError
+from planner.paper.am import Iteration, plan_paper
+from planner.paper.enumeration import Evaluation, enumerate_plans
+from planner.problem import Problem
+from planner.trajectory import Trajectory
+
+# The order of the paper's Table 4.
+RIVALS = ("COBYLA", "BOBYQA", "NEWUOA-BOUND", "PRAXIS", "NELDERMEAD", "SBPLX", "BGD")
+ALLOCATIONS = (*RIVALS, "AM")
+DELTA_T_S = 1.0
+DEGREE = 5
+
+
+@dataclass(frozen=True)
+class Settings:
+    """``time_limit_s`` bounds EM on one mission, ``rival_limit_s`` each method of Table 4, both processor seconds."""
+
+    time_limit_s: float = 60.0
+    rival_limit_s: float = 3.0
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One measurement of one mission; ``name`` and ``settings`` are its key in the results."""
+
+    name: str
+    settings: dict[str, Any]
+    title: str
+    measure: Callable[[Mission, Problem], dict[str, Any]]
+
+
+def nlopt_available() -> bool:
+    """Whether NLopt, which six of the rivals come from, is installed."""
+    return importlib.util.find_spec("nlopt") is not None
+
+
+def machine() -> dict[str, Any]:
+    """Where measurements were made, as far as times depend on it."""
+    return {
+        "cores": os.cpu_count(),
+        "architecture": platform.machine(),
+        "processor": _processor(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "skyrelay": product_version(),
+    }
+
+
+def units(settings: Settings) -> list[Unit]:
+    """All measurements of one mission, in the order they are made."""
+    found = [
+        Unit("plans", {"delta_t_s": DELTA_T_S}, "this planner and DC", _plans),
+        Unit(
+            "enumeration",
+            {"time_limit_s": settings.time_limit_s, "delta_t_s": DELTA_T_S},
+            f"EM, {settings.time_limit_s:g} s",
+            lambda _, problem: _enumeration(problem, settings.time_limit_s),
+        ),
+    ]
+    for method in ALLOCATIONS:
+
+        def measure(_: Mission, problem: Problem, method: str = method) -> dict[str, Any]:
+            return _allocation(problem, method, settings.rival_limit_s)
+
+        own = {"method": method, "time_limit_s": settings.rival_limit_s}
+        found.append(Unit("allocation", own, f"{method}, {settings.rival_limit_s:g} s", measure))
+    return found
+
+
+def run(
+    cases: Sequence[Case],
+    settings: Settings,
+    results: Results,
+    *,
+    again: Sequence[str] = (),
+    tell: Callable[[str], None] = lambda text: None,
+) -> list[dict[str, Any]]:
+    """Measure what ``results`` lacks, and units named in ``again`` anew; a row of everything for each mission.
+
+    Raises what `Mission.from_document` and the planners raise for a mission that cannot be used.
+    """
+    here = machine()
+    rows = []
+    for number, case in enumerate(cases, start=1):
+        key = fingerprint(case.document)
+        mission = Mission.from_document(case.document).with_options(PAPER_OPTIONS)
+        problem = lay_out(mission).problem
+        measured: dict[str, Any] = {"name": case.name, "stations": len(mission.stations), "allocations": {}}
+        for unit in units(settings):
+            found = results.get(unit.name, key, unit.settings)
+            if found is None and unit.name == "enumeration":
+                found = _finished(results, key)
+            if found is None or unit.name in again:
+                tell(f"{number} of {len(cases)}: {case.name}, {unit.title}")
+                found = unit.measure(mission, problem)
+                results.add(unit.name, key, unit.settings, found, name=case.name, machine=here)
+            if unit.name == "allocation":
+                measured["allocations"][unit.settings["method"]] = found
+            else:
+                measured[unit.name] = found
+        rows.append(measured)
+    return rows
+
+
+def _finished(results: Results, mission: str) -> dict[str, Any] | None:
+    """An enumeration that came to its end under another time limit is the same under every limit it kept."""
+    for settings, measured in results.of("enumeration", mission):
+        if measured["complete"] and settings["delta_t_s"] == DELTA_T_S:
+            return measured
+    return None
+
+
+# -- the measurements --------------------------------------------------------------------------------------------------
+
+
+def _plans(mission: Mission, problem: Problem) -> dict[str, Any]:
+    started = time.process_time()
+    plan = plan_mission(mission)
+    seconds = time.process_time() - started
+    started = time.process_time()
+    decoupled = plan_paper(problem, delta_t_s=DELTA_T_S)
+    paper_seconds = time.process_time() - started
+    return {
+        "lower_bound_s": plan.lower_bound_s,
+        "ours": _run(plan.trajectory, seconds, plan.method),
+        "decoupling": _run(decoupled.trajectory, paper_seconds, "paper"),
+    }
+
+
+def _run(trajectory: Trajectory, seconds: float, method: str) -> dict[str, Any]:
+    return {
+        "mission_time_s": trajectory.duration_s,
+        "cpu_s": seconds,
+        "method": method,
+        "sequence": list(trajectory.sequence),
+        "curve": _curve(trajectory),
+    }
+
+
+def _enumeration(problem: Problem, time_limit_s: float) -> dict[str, Any]:
+    """EM up to the limit. ``found_s`` are the mission times of all sequences planned, DC's first, in their order."""
+    found: list[float] = []
+    last: Evaluation | None = None
+    complete = True
+    for last in enumerate_plans(problem, delta_t_s=DELTA_T_S, clock=time.process_time):
+        if np.isfinite(last.mission_time_s):
+            found.append(last.mission_time_s)
+        if last.elapsed_s >= time_limit_s:
+            complete = False
+            break
+    if last is None or last.best is None:
+        raise SolverError("no sequence of stations was planned")
+    return {
+        "mission_time_s": last.best.trajectory.duration_s,
+        "sequence": list(last.best.trajectory.sequence),
+        "cpu_s": last.elapsed_s,
+        "planned": last.planned,
+        "pruned": last.pruned,
+        "complete": complete,
+        "rank_dc": 1 + sum(seconds < found[0] for seconds in found),
+        "found_s": [round(seconds, 3) for seconds in found],
+    }
+
+
+def _allocation(problem: Problem, method: str, time_limit_s: float) -> dict[str, Any]:
+    from planner.paper.rivals import plan_by_rival
+
+    record: list[Iteration] = []
+    started = time.process_time()
+    if method == "AM":
+        # Threshold zero: an iteration that gains nothing would only repeat itself.
+        solution = plan_paper(
+            problem, delta_t_s=0.0, max_runtime_s=time_limit_s, record=record, clock=time.process_time
+        )
+    else:
+        solution = plan_by_rival(problem, method, time_limit_s=time_limit_s, record=record, clock=time.process_time)
+    return {
+        "mission_time_s": solution.trajectory.duration_s,
+        "cpu_s": time.process_time() - started,
+        "evaluations": solution.iterations,
+        "convergence": thinned([[round(entry.elapsed_s, 4), round(entry.mission_time_s, 4)] for entry in record]),
+        # Seldom less than a second a piece: centimetres draw an acceleration well.
+        "curve": _curve(solution.trajectory, decimals=2),
+    }
+
+
+def thinned(convergence: list[list[float]], gain_s: float = 0.01) -> list[list[float]]:
+    """Points (elapsed, mission time) that gain at least ``gain_s`` over the one kept before, and the last."""
+    kept = convergence[:1]
+    for point in convergence[1:]:
+        if kept[-1][1] - point[1] >= gain_s or point is convergence[-1]:
+            kept.append(point)
+    return kept
+
+
+def _curve(trajectory: Trajectory, decimals: int = 5) -> dict[str, Any]:
+    """A trajectory for drawing, its numbers rounded."""
+    return {
+        "control_points_m": np.round(trajectory.control_points_m, decimals).tolist(),
+        "durations_s": np.round(trajectory.durations_s, max(3, decimals)).tolist(),
+        "stations": trajectory.station_index.tolist(),
+    }
+
+
+def curve_of(document: dict[str, Any]) -> Trajectory:
+    """The trajectory of a kept curve, as it was rounded."""
+    return Trajectory(
+        np.array(document["control_points_m"]),
+        np.array(document["durations_s"]),
+        np.array(document["stations"], dtype=np.int64),
+    )
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor()
+
+
+# -- the tables --------------------------------------------------------------------------------------------------------
+
+
+def table_3(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of Table 3: decoupling against enumeration, and this planner."""
+    return [
+        {
+            "name": row["name"],
+            "stations": row["stations"],
+            "lower_bound_s": row["plans"]["lower_bound_s"],
+            "sequences": {"em": row["enumeration"]["planned"], "em_pruned": row["enumeration"]["pruned"], "dc": 1},
+            "mission_time_s": {
+                "em": row["enumeration"]["mission_time_s"],
+                "dc": row["plans"]["decoupling"]["mission_time_s"],
+                "ours": row["plans"]["ours"]["mission_time_s"],
+            },
+            "rank_dc": row["enumeration"]["rank_dc"],
+            "complete": row["enumeration"]["complete"],
+            "cpu_s": {
+                "em": row["enumeration"]["cpu_s"],
+                "dc": row["plans"]["decoupling"]["cpu_s"],
+                "ours": row["plans"]["ours"]["cpu_s"],
+            },
+        }
+        for row in rows
+    ]
+
+
+def table_4(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of Table 4: the lower level's mission times by eight methods, and this planner's."""
+    found = []
+    for row in rows:
+        segments = len(row["plans"]["decoupling"]["sequence"])
+        times = {method: row["allocations"][method]["mission_time_s"] for method in ALLOCATIONS}
+        found.append(
+            {
+                "name": row["name"],
+                "stations": row["stations"],
+                # Durations, and three coordinates of six control points a segment.
+                "variables": {"T": segments, "P": 3 * (DEGREE + 1) * segments},
+                "lower_bound_s": row["plans"]["lower_bound_s"],
+                "mission_time_s": {**times, "ours": row["plans"]["ours"]["mission_time_s"]},
+                "ours_cpu_s": row["plans"]["ours"]["cpu_s"],
+            }
+        )
+    return found
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Mean gap to the bound in per cent of every method, by number of stations."""
+    found = []
+    for count in sorted({row["stations"] for row in rows}):
+        mine = [row for row in rows if row["stations"] == count]
+
+        def gap(name: str, mine: list[dict[str, Any]] = mine) -> dict[str, float]:
+            gaps = [100.0 * (mission_times(row)[name] / row["plans"]["lower_bound_s"] - 1.0) for row in mine]
+            return {"mean": float(np.mean(gaps)), "worst": float(np.max(gaps))}
+
+        found.append(
+            {
+                "stations": count,
+                "missions": len(mine),
+                "gap_percent": {name: gap(name) for name in ("ours", "EM", "DC", *ALLOCATIONS)},
+                "complete_enumerations": sum(row["enumeration"]["complete"] for row in mine),
+            }
+        )
+    return found
+
+
+def mission_times(row: dict[str, Any]) -> dict[str, float]:
+    """Every method's mission time of one mission in seconds."""
+    return {
+        "ours": row["plans"]["ours"]["mission_time_s"],
+        "EM": row["enumeration"]["mission_time_s"],
+        "DC": row["plans"]["decoupling"]["mission_time_s"],
+        **{method: found["mission_time_s"] for method, found in row["allocations"].items()},
+    }

@@ -1,0 +1,59 @@
+"""How the planner grows: long chains of stations, and routing on large maps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from api.bench.cases import chain, crowd
+from api.bench.planner import measure, row_of, timed
+from planner.bound import lower_bound
+from planner.corridor import build_corridor
+from planner.paper.station_graph import shortest_sequence
+from planner.paper.waypoints import polyline_length_m, shortest_polyline
+from planner.problem import Problem
+from planner.routing import candidate_routes
+
+# What the issue of scale is usually asked with.
+SEGMENTS = (100, 175)
+STATIONS = (1_000, 10_000, 100_000)
+
+
+def segments_row(segments: int, seed: int) -> dict[str, Any]:
+    """A chain of so many stations planned every way; fields as a mission's, and ``segments``."""
+    row = row_of(measure(chain(segments, seed)))
+    return {"segments": segments, **row}
+
+
+def routing_row(stations: int, seed: int) -> dict[str, Any]:
+    """The best sequence through a map of so many stations.
+
+    ``solve_s``: bound and sequence together. ``paper_solve_s``: the paper's own routing, Dijkstra on the station graph.
+    ``excess_percent`` and ``paper_excess_percent``: shortest polyline along the sequence over the exact shortest path
+    through the union of ranges; None where that was not found exactly.
+    """
+    problem = crowd(stations, seed)
+    route, solve_s, wall_s = timed(lambda: candidate_routes(problem, 1)[0])
+    theirs, paper_solve_s, _ = timed(lambda: shortest_sequence(problem))
+    bound = lower_bound(problem)
+
+    def excess(sequence: tuple[int, ...]) -> float | None:
+        return 100.0 * (_length_m(problem, sequence) / bound.length_m - 1.0) if bound.exact else None
+
+    return {
+        "stations": stations,
+        "solve_s": solve_s,
+        "wall_s": wall_s,
+        "paper_solve_s": paper_solve_s,
+        "solve_time_ratio": solve_s / paper_solve_s,
+        "handovers": len(route.sequence) - 1,
+        "paper_handovers": len(theirs) - 1,
+        "length_m": bound.length_m,
+        "excess_percent": excess(route.sequence),
+        "paper_excess_percent": excess(theirs),
+    }
+
+
+def _length_m(problem: Problem, sequence: tuple[int, ...]) -> float:
+    return float(np.float64(polyline_length_m(shortest_polyline(problem, build_corridor(problem, sequence)))))
