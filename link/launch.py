@@ -92,9 +92,7 @@ class Launch:
             c.request.connect_timeout_s,
         )
         if not heard:
-            over = (
-                f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({c.request.links[first]})"
-            )
+            over = f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({', '.join(c.request.urls[first])})"
             raise Refused(
                 f"{over} in {c.request.connect_timeout_s:g} s: is the vehicle there, its id and the link right?"
             )
@@ -276,7 +274,9 @@ class Launch:
                 if not same
                 else "the vehicle is not heard over it (yet: it may be out of range)"
             )
-            checks.append(Check(f"link {station}", level, message, c.request.links[station], "heard and answered"))
+            checks.append(
+                Check(f"link {station}", level, message, ", ".join(c.request.urls[station]), "heard and answered")
+            )
         return checks
 
     def _own(self) -> Steps[list[Check]]:
