@@ -92,7 +92,9 @@ class Launch:
             c.request.connect_timeout_s,
         )
         if not heard:
-            over = f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({', '.join(c.request.urls[first])})"
+            over = (
+                f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({c.request.shown(first)})"
+            )
             raise Refused(
                 f"{over} in {c.request.connect_timeout_s:g} s: is the vehicle there, its id and the link right?"
             )
@@ -274,9 +276,7 @@ class Launch:
                 if not same
                 else "the vehicle is not heard over it (yet: it may be out of range)"
             )
-            checks.append(
-                Check(f"link {station}", level, message, ", ".join(c.request.urls[station]), "heard and answered")
-            )
+            checks.append(Check(f"link {station}", level, message, c.request.shown(station), "heard and answered"))
         return checks
 
     def _own(self) -> Steps[list[Check]]:
