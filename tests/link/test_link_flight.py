@@ -460,7 +460,7 @@ def test_the_links_latency_is_led(autopilot: str) -> None:
         fast = [off for off, t in zip(one.behind_m(), _cruise(one), strict=True) if float(t.plan_s or 0.0) > 8.0]
         behind[limit_s] = float(np.mean(fast))
         # What is told is what is true.
-        assert one.said("progress")[-1].data["error_m"] == pytest.approx(behind[limit_s], abs=0.5)
+        assert one.said("progress")[-1].data["error_m"] == pytest.approx(fast[-1], abs=0.8)
         assert not one.said("alarm")
     # About 15 m/s x 0.2 s; ArduPilot moves a late target on along its velocity by itself, a little.
     assert 1.8 < behind[0.0] < 4.0
