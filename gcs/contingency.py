@@ -13,24 +13,21 @@ may be off from there, which covers all of the span. Range margins are not taken
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gcs.cover import Cover
 from gcs.ground import Ground
-from gcs.ranges import planning_elevation_deg
+from gcs.own_return import MOST_CELLS, OwnReturn, ReturnRules, cells, cruise_speed_m_s, own_returns
 from planner.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-_CELL_S = 2.0
-_MOST_CELLS = 200
 _NEAREST = 8
 _SLOWER, _LATER_S = 1.3, 10.0
 _AT_START_M = 500.0
-# Ways whose coverage is worked out together.
-_AT_ONCE = 256
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,9 @@ class Contingency:
     ``action`` is ``"divert"`` or ``"return"``; ``safe_point`` is an id, None for the place of the start itself. A
     return follows the path back to where it was at ``leave_path_s``, and goes straight to the safe point from there;
     None: back to the start. ``covered`` says that the whole way is in range. ``straight_home_covered`` says whether the
-    straight line back to the start is: that is where an autopilot's own failsafe goes.
+    straight line back to the start is: that is where an autopilot's own failsafe goes that knows no rally points.
+    ``own_return_covered`` says it of one that knows the mission's safe points (`gcs.own_return`, at the height of the
+    path), ``own_return_s`` how long that takes at most; None in plans made before these were worked out.
     """
 
     from_s: float
@@ -51,9 +50,12 @@ class Contingency:
     duration_s: float
     straight_home_covered: bool
     leave_path_s: float | None = None
+    own_return_covered: bool | None = None
+    own_return_s: float | None = None
 
     def to_document(self) -> dict[str, object]:
         """As in the plan document."""
+        own = {"own_return_covered": self.own_return_covered, "own_return_s": self.own_return_s}
         return {
             "from_s": self.from_s,
             "to_s": self.to_s,
@@ -63,6 +65,7 @@ class Contingency:
             "duration_s": self.duration_s,
             "straight_home_covered": self.straight_home_covered,
             "leave_path_s": self.leave_path_s,
+            **{key: value for key, value in own.items() if value is not None},
         }
 
 
@@ -71,16 +74,13 @@ def contingencies(ground: Ground, trajectory: Trajectory) -> tuple[Contingency, 
     mission, limits = ground.mission, ground.mission.limits
     points = ground.enu_m([p.position for p in mission.safe_points])
     station_count = len(mission.stations) * (1 + min(len(points), _NEAREST))
-    most = int(np.clip(400_000 // station_count, 20, _MOST_CELLS))
-    count = int(np.clip(np.ceil(trajectory.duration_s / _CELL_S), 1, most))
-    edges = np.linspace(0.0, trajectory.duration_s, count + 1)
+    most = int(np.clip(400_000 // station_count, 20, MOST_CELLS))
+    edges = cells(trajectory, most)
+    count = len(edges) - 1
     at = trajectory.evaluate(0.5 * (edges[:-1] + edges[1:]))
     off_m = 0.5 * (edges[1] - edges[0]) * limits.max_speed_m_s
 
-    speed = limits.max_speed_m_s
-    if limits.max_airspeed_m_s is not None:
-        wind = float(np.hypot(*(limits.wind_m_s or (0.0, 0.0))))
-        speed = min(speed, max(limits.max_airspeed_m_s - wind, 0.05 * limits.max_airspeed_m_s))
+    speed = cruise_speed_m_s(limits)
     sink = min(speed, limits.max_descent_m_s or speed)
     turn_s = 2.0 * speed / limits.max_accel_m_s2  # to stop and to get going again
 
@@ -90,7 +90,7 @@ def contingencies(ground: Ground, trajectory: Trajectory) -> tuple[Contingency, 
     over = np.concatenate([points[nearest], home], axis=1) if len(points) else home.copy()
     down = over.copy()
     over[..., 2] = at[:, None, 2]
-    ways = _Cover(ground, off_m)
+    ways = Cover(ground, off_m)
     level = ways.holds(np.broadcast_to(at[:, None], over.shape), over)
     covered = level[:, :-1] & ways.holds(over[:, :-1], down[:, :-1])
     length = np.linalg.norm(over - at[:, None], axis=-1)[:, :-1] + off_m
@@ -99,7 +99,29 @@ def contingencies(ground: Ground, trajectory: Trajectory) -> tuple[Contingency, 
     diverts = [{int(nearest[k, j]): float(duration[k, j]) for j in np.flatnonzero(covered[k])} for k in range(count)]
     returns = _returns(diverts, _flown_m(trajectory, edges) / speed, turn_s)
     chosen = _choose(diverts, returns)
-    return _spans(ground, edges, chosen, level[:, -1], _at_start(ground, points, trajectory))
+    spans = _spans(ground, edges, chosen, level[:, -1], _at_start(ground, points, trajectory))
+    start_m = trajectory.evaluate(0.0)
+    rules = ReturnRules(
+        home_enu_m=(float(start_m[0]), float(start_m[1]), float(start_m[2])),
+        points=tuple((p.id, _tuple(at_m)) for p, at_m in zip(mission.safe_points, points, strict=True)),
+        speed_m_s=speed,
+        sink_m_s=sink,
+    )
+    by_itself = own_returns(ground, trajectory, rules, most)
+    return tuple(_with_own_return(span, by_itself) for span in spans)
+
+
+def _tuple(at_m: Array) -> tuple[float, float, float]:
+    return float(at_m[0]), float(at_m[1]), float(at_m[2])
+
+
+def _with_own_return(span: Contingency, by_itself: tuple[OwnReturn, ...]) -> Contingency:
+    during = [way for way in by_itself if way.from_s < span.to_s and way.to_s > span.from_s]
+    return replace(
+        span,
+        own_return_covered=all(way.covered for way in during),
+        own_return_s=max(way.duration_s for way in during),
+    )
 
 
 def _nearest(at: Array, points: Array) -> NDArray[np.int64]:
@@ -186,67 +208,3 @@ def _spans(
         )
         begin = k
     return tuple(result)
-
-
-class _Cover:
-    """Whether straight ways lie in the union of the ranges, each less ``off_m``; excluded stations do not count."""
-
-    def __init__(self, ground: Ground, off_m: float) -> None:
-        excluded = set(ground.mission.options.excluded_stations)
-        keep = [i for i, s in enumerate(ground.mission.stations) if s.id not in excluded]
-        self.radius = (ground.inner_ranges_m(ground.full_ranges_m) - off_m)[keep]
-        self.centre = ground.stations_enu_m[keep]
-        lowest = ground.min_elevations_deg[keep]
-        if not ground.is_local:
-            raised = np.minimum(planning_elevation_deg(lowest, ground.full_ranges_m[keep]), 89.9)
-            lowest = np.where(lowest > -90, raised, lowest)
-        self.slope = np.where(lowest > -90, np.tan(np.radians(np.maximum(lowest, 0.0))), np.nan)
-        self.off_m = off_m
-
-    def holds(self, begin: Array, end: Array) -> NDArray[np.bool_]:
-        """``(...)``: whether each straight way from ``begin`` to ``end`` ``(..., 3)`` is covered all along."""
-        flat_begin, flat_end = begin.reshape(-1, 3), end.reshape(-1, 3)
-        result = np.zeros(len(flat_begin), dtype=bool)
-        for k in range(0, len(result), _AT_ONCE):
-            result[k : k + _AT_ONCE] = self._holds(flat_begin[k : k + _AT_ONCE], flat_end[k : k + _AT_ONCE])
-        return result.reshape(begin.shape[:-1])
-
-    def _holds(self, begin: Array, end: Array) -> NDArray[np.bool_]:
-        # Only stations that reach the box around these ways: on a large map that is a few of many.
-        box = np.concatenate([begin, end])
-        beyond = np.maximum(np.maximum(box.min(axis=0) - self.centre, self.centre - box.max(axis=0)), 0.0)
-        near = np.flatnonzero((np.linalg.norm(beyond, axis=1) <= self.radius) & (self.radius > 0))
-        if not len(near):
-            return np.zeros(len(begin), dtype=bool)
-        radius, centre, slope = self.radius[near], self.centre[near], self.slope[near]
-        way = end - begin
-        offset = begin[:, None, :] - centre
-        # |offset + u way|^2 <= radius^2: one interval of u for each station
-        a = np.maximum(np.einsum("ni,ni->n", way, way), 1e-12)[:, None]
-        b = np.einsum("nmi,ni->nm", offset, way)
-        c = np.einsum("nmi,nmi->nm", offset, offset) - radius**2
-        square = b * b - a * c
-        cuts = square >= 0
-        root = np.sqrt(np.maximum(square, 0.0))
-        low, high = np.where(cuts, (-b - root) / a, np.inf), np.where(cuts, (-b + root) / a, -np.inf)
-        for k in np.flatnonzero(np.isfinite(slope)).tolist():
-            first, last = self._above_cone(float(slope[k]), offset[:, k], way)
-            low[:, k], high[:, k] = np.maximum(low[:, k], first), np.minimum(high[:, k], last)
-        # Sorted by their beginnings, the intervals join when none begins beyond what is reached so far.
-        order = np.argsort(low, axis=1)
-        low, high = np.take_along_axis(low, order, 1), np.take_along_axis(high, order, 1)
-        reached = np.zeros(len(begin))
-        for k in range(low.shape[1]):
-            joins = low[:, k] <= reached
-            reached = np.where(joins, np.maximum(reached, high[:, k]), reached)
-        return reached >= 1.0
-
-    def _above_cone(self, slope: float, offset: Array, way: Array) -> tuple[Array, Array]:
-        """The part of each way above a cone: height over it is concave, so all between two good samples is good."""
-        u = np.linspace(0.0, 1.0, 65)
-        at = offset[:, None, :] + u[None, :, None] * way[:, None, :]
-        good = at[..., 2] - self.off_m - slope * (np.linalg.norm(at[..., :2], axis=-1) + self.off_m) >= 0
-        some = good.any(axis=1)
-        first = np.where(some, u[good.argmax(axis=1)], np.inf)
-        last = np.where(some, u[len(u) - 1 - good[:, ::-1].argmax(axis=1)], -np.inf)
-        return first, last

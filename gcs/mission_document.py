@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import difflib
 import math
+import unicodedata
+from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
@@ -30,7 +32,7 @@ from gcs.mission import (
     Station,
     assign_system_ids,
 )
-from gcs.reading import MAX_DOCUMENT_BYTES, FaultList, Reader, parse_json
+from gcs.reading import MAX_DOCUMENT_BYTES, FaultList, Reader, parse_json, type_name
 
 GEO_FIELDS = ("lat_deg", "lon_deg", "alt_amsl_m")
 LOCAL_FIELDS = ("east_m", "north_m", "up_m")
@@ -85,6 +87,7 @@ def parse_option(text: str) -> tuple[str, object]:
 def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Mission:
     """The mission of a parsed document; raises `MissionError` with every fault found."""
     faults = FaultList()
+    _refuse_strangers(document)
     root = Reader(document, "", faults, MISSION_FIELDS)
     if not root.ok:
         raise MissionError(faults)
@@ -111,12 +114,26 @@ def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Missi
     _unique_ids("safe_points", [p.id for p in safe_points], faults)
     _check_system_ids(stations, options.vehicle_system_id, faults)
     if stations and all(s.id in options.excluded_stations for s in stations):
-        faults.add("options.excluded_stations", "leaves no station", list(options.excluded_stations))
+        what, fix = "leaves no station", "leave at least one of them in"
+        faults.add("options.excluded_stations", what, list(options.excluded_stations), "not every station", fix)
     if not local and not faults:
         _check_span(start, destination, stations, safe_points, faults)
     if faults:
         raise MissionError(faults)
     return Mission(start, destination, tuple(stations), limits, name, tuple(safe_points), options, origin)
+
+
+def _refuse_strangers(document: object) -> None:
+    """Other documents a mission is taken for, refused as what they are and not field by field."""
+    if not isinstance(document, Mapping):
+        return
+    if "plan_sha256" in document or "segments" in document:
+        fault = Fault("mission", "is a plan, not a mission", None, "a mission", "give what stands in its field mission")
+        raise MissionError([fault])
+    if document.get("type") in ("FeatureCollection", "Feature") or document.get("fileType") == "Plan":
+        what = "is GeoJSON" if "type" in document else "is a QGroundControl plan"
+        fix = "write it as a mission: start, destination, stations, limits"
+        raise MissionError([Fault("mission", f"{what}, not a mission", None, "a mission", fix)])
 
 
 def _geo(reader: Reader) -> GeoPosition:
@@ -202,7 +219,9 @@ def _limits(reader: Reader) -> MissionLimits:
         if not reader.has("endurance_s"):
             reader.fault("reserve_s", "has no effect without endurance_s", fix="add endurance_s, or remove the reserve")
         elif limits.endurance_s is not None and limits.reserve_s >= limits.endurance_s:
-            reader.fault("reserve_s", "leaves nothing of endurance_s", f"less than {limits.endurance_s:g} s")
+            reader.fault(
+                "reserve_s", "leaves nothing of endurance_s", f"less than {limits.endurance_s:g} s", "lower it"
+            )
     return limits
 
 
@@ -216,7 +235,8 @@ def _options(reader: Reader, station_ids: list[str]) -> MissionOptions:
         if not isinstance(item, str) or item not in station_ids:
             close = difflib.get_close_matches(str(item), station_ids, n=1)
             fix = f"did you mean {close[0]}?" if close else "give the id of a station of this mission"
-            reader.faults.add(reader.path(f"excluded_stations[{i}]"), "is no station of this mission", item, "", fix)
+            where = reader.path(f"excluded_stations[{i}]")
+            reader.faults.add(where, "is no station of this mission", item, "ids of stations", fix)
         else:
             excluded.append(item)
     return MissionOptions(
@@ -240,7 +260,8 @@ def _objective(reader: Reader) -> str | float:
     if isinstance(value, str):
         return reader.choice("objective", ("time", "energy"), "time")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        reader.fault("objective", "must be a word or a number", "time, energy, or a weight of energy from 0 to 1")
+        allowed = "time, energy, or a weight of energy from 0 to 1"
+        reader.fault("objective", f"must be a word or a number, not {type_name(value)}", allowed, "choose one of them")
         return "time"
     return reader.number("objective", 0.0, 1.0, "(weight of energy)")
 
@@ -249,12 +270,14 @@ def _start_state(reader: Reader) -> StartState:
     state = reader.child("start_state", ("velocity_m_s", "acceleration_m_s2"))
 
     def vector(key: str, unit: str) -> tuple[float, float, float]:
-        allowed = f"a list [east, north, up] in {unit}"
-        items = state.items(key, 3)
         if not state.has(key):
             return 0.0, 0.0, 0.0
-        if len(items) != 3:
-            state.fault(key, "must have three numbers", allowed)
+        items = state.data[key]
+        if not isinstance(items, list | tuple) or len(items) != 3:
+            what = f"must be a list of three numbers, not {type_name(items)}"
+            if isinstance(items, list | tuple):
+                what = f"must have three numbers, not {len(items)}"
+            state.fault(key, what, f"[east, north, up] in {unit}", "give all three, 0 where there is none")
             return 0.0, 0.0, 0.0
         part = Reader(
             dict(zip(("east", "north", "up"), items, strict=True)),
@@ -274,6 +297,13 @@ def _unique_ids(where: str, ids: list[str], faults: FaultList) -> None:
         if identifier and first.setdefault(identifier, i) != i:
             what = f"is the id of {where}[{first[identifier]}] as well"
             faults.add(f"{where}[{i}].id", what, identifier, "each id once", "rename one of the two")
+    # Ids are spoken over the radio and stand in file names: what differs only in letter case or blanks is one.
+    spoken: dict[str, int] = {}
+    for identifier, i in first.items():
+        word = "".join(unicodedata.normalize("NFKC", identifier).casefold().split())
+        if spoken.setdefault(word, i) != i:
+            what = f"differs only in letter case or blanks from that of {where}[{spoken[word]}], {ids[spoken[word]]}"
+            faults.add(f"{where}[{i}].id", what, identifier, "ids that people can tell apart", "rename one of the two")
 
 
 def _check_system_ids(stations: list[Station], vehicle_id: int, faults: FaultList) -> None:
@@ -284,11 +314,12 @@ def _check_system_ids(stations: list[Station], vehicle_id: int, faults: FaultLis
             continue
         where = f"stations[{i}].system_id"
         if station.system_id == vehicle_id:
-            faults.add(where, "is the vehicle's own system id", station.system_id, "another id from 1 to 254")
+            fix = "give another one, or change options.vehicle_system_id"
+            faults.add(where, "is the vehicle's own system id", station.system_id, "another id from 1 to 254", fix)
             clean = False
         elif first.setdefault(station.system_id, i) != i:
             what = f"is the system id of stations[{first[station.system_id]}] as well"
-            faults.add(where, what, station.system_id, "each system id once")
+            faults.add(where, what, station.system_id, "each system id once", "give another one, or leave both out")
             clean = False
     given = [s.system_id for s in stations]
     if clean and first and None in given:
@@ -309,9 +340,30 @@ def _check_span(
     at = np.array([(p.lat_deg, p.lon_deg) for _, p in places if isinstance(p, GeoPosition)])
     assert isinstance(start, GeoPosition)
     distance = slant_range_m(start.lat_deg, start.lon_deg, 0.0, at[:, 0], at[:, 1], 0.0)
-    for i in np.flatnonzero(distance > MAX_SPAN_M):
+    far, allowed = np.flatnonzero(distance > MAX_SPAN_M), f"at most {MAX_SPAN_M / 1000:.0f} km"
+    if len(far) == len(places):
+        # Everything is far from the start: it is the start that is wrong.
+        swapped = abs(start.lon_deg) <= 90.0 and bool(
+            (slant_range_m(start.lon_deg, start.lat_deg, 0.0, at[:, 0], at[:, 1], 0.0) <= MAX_SPAN_M).any()
+        )
+        what = f"is {distance.min() / 1000:.0f} km and more from destination and stations"
+        faults.add("start", what, _shown(start), allowed, _fix_of_place(swapped))
+        return
+    for i in far:
+        lat, lon = at[i]
+        swapped = (
+            abs(lon) <= 90.0 and float(slant_range_m(start.lat_deg, start.lon_deg, 0.0, lon, lat, 0.0)) <= MAX_SPAN_M
+        )
         what = f"is {distance[i] / 1000:.0f} km from the start"
-        faults.add(places[i][0], what, None, f"at most {MAX_SPAN_M / 1000:.0f} km", "check latitude and longitude")
+        faults.add(places[i][0], what, f"{lat:.6g}, {lon:.6g}", allowed, _fix_of_place(swapped))
+
+
+def _shown(position: GeoPosition) -> str:
+    return f"{position.lat_deg:.6g}, {position.lon_deg:.6g}"
+
+
+def _fix_of_place(swapped: bool) -> str:
+    return "swap lat_deg and lon_deg" if swapped else "check latitude and longitude"
 
 
 def write_mission(mission: Mission) -> dict[str, object]:

@@ -177,7 +177,10 @@ def _read_handovers(root: Reader, index: Mapping[str, int], faults: FaultList) -
 
 
 def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) -> tuple[Contingency, ...]:
-    names = ("from_s", "to_s", "action", "safe_point", "covered", "duration_s", "straight_home_covered", "leave_path_s")
+    names = (
+        *("from_s", "to_s", "action", "safe_point", "covered", "duration_s", "straight_home_covered", "leave_path_s"),
+        *("own_return_covered", "own_return_s"),
+    )
     result = []
     for k, item in enumerate(root.items("contingencies", MAX_SEGMENTS)):
         at = Reader(item, f"contingencies[{k}]", faults, names)
@@ -187,6 +190,9 @@ def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) 
         for key in ("covered", "straight_home_covered"):
             if not isinstance(at.data.get(key), bool):
                 at.fault(key, "must be true or false")
+        own_covered = at.data.get("own_return_covered")
+        if own_covered is not None and not isinstance(own_covered, bool):
+            at.fault("own_return_covered", "must be true or false")
         result.append(
             Contingency(
                 from_s=at.number("from_s", 0.0, _BIG, "s"),
@@ -197,6 +203,8 @@ def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) 
                 duration_s=at.number("duration_s", 0.0, _BIG, "s"),
                 straight_home_covered=at.data.get("straight_home_covered") is True,
                 leave_path_s=at.optional_number("leave_path_s", 0.0, _BIG, "s"),
+                own_return_covered=own_covered if isinstance(own_covered, bool) else None,
+                own_return_s=at.optional_number("own_return_s", 0.0, _BIG, "s"),
             )
         )
     return tuple(result)

@@ -54,17 +54,24 @@ class Reader:
         self.ok = isinstance(value, dict | Mapping)
         self.data: Mapping[str, object] = value if isinstance(value, dict | Mapping) else {}
         if not self.ok:
-            faults.add(where or "mission", f"must be an object, not {type_name(value)}", value, "a JSON object")
+            known = sorted(fields)
+            some = ", ".join(known[:4]) + (", ..." if len(known) > 4 else "")
+            what, fix = f"must be an object, not {type_name(value)}", f"put it in braces, with {some}"
+            faults.add(where or "mission", what, value, "a JSON object", fix)
         if not self.data.keys() <= (fields if isinstance(fields, Set) else frozenset(fields)):
             for key in self.data:
                 if key not in fields:
                     self._unknown(key, fields)
 
     def _unknown(self, key: object, fields: Collection[str]) -> None:
-        close = difflib.get_close_matches(str(key), list(fields), n=1, cutoff=0.6)
+        # The same word with another unit first: alt_ft is meant to be alt_amsl_m.
+        stem = str(key).partition("_")[0]
+        close = [field for field in fields if field.partition("_")[0] == stem]
+        if len(close) != 1:
+            close = difflib.get_close_matches(str(key), list(fields), n=1, cutoff=0.6)
         fix = f"did you mean {close[0]}?" if close else "remove it"
         shown = str(key) if printable(str(key)) and len(str(key)) <= 64 else "?"
-        self.faults.add(self.path(shown), "is not a known field", None, ", ".join(sorted(fields)), fix)
+        self.faults.add(self.path(shown), "is not a known field", self.data[key], ", ".join(sorted(fields)), fix)  # type: ignore[index]
 
     def path(self, key: str) -> str:
         """The path of one of this object's fields."""
@@ -100,14 +107,16 @@ class Reader:
             return default
         value = self.data[key]
         if isinstance(value, bool) or not isinstance(value, int | float):
-            self.fault(key, f"must be a number, not {type_name(value)}", _span(low, high, unit, above_low))
+            span = _span(low, high, unit, above_low)
+            self.fault(key, f"must be a number, not {type_name(value)}", span, _bare(value, unit))
             return math.nan
         try:
             number = float(value)
         except OverflowError:
             number = math.inf
         if not math.isfinite(number):
-            self.fault(key, "must be a finite number", _span(low, high, unit, above_low), value=str(number))
+            span = _span(low, high, unit, above_low)
+            self.fault(key, "must be a finite number", span, "give one within that span", value=str(number))
             return math.nan
         if number > high or number < low or (above_low and number == low):
             if number > high:
@@ -118,7 +127,10 @@ class Reader:
                 what = "must not be zero"
             else:
                 what = "is too small"
-            self.fault(key, what, _span(low, high, unit, above_low))
+            fix = f"give one within that span, in {unit}"
+            if key == "lon_deg" and 180.0 < abs(number) <= 360.0:
+                fix = f"write {number - math.copysign(360.0, number):.10g}"
+            self.fault(key, what, _span(low, high, unit, above_low), fix)
             return math.nan
         return number
 
@@ -134,9 +146,10 @@ class Reader:
         if isinstance(value, float) and value.is_integer():
             value = int(value)
         if isinstance(value, bool) or not isinstance(value, int):
-            self.fault(key, f"must be a whole number, not {type_name(value)}", allowed)
+            kind = "" if isinstance(value, float) else f", not {type_name(value)}"
+            self.fault(key, f"must be a whole number{kind}", allowed, "give a whole number without quotes")
         elif not low <= value <= high:
-            self.fault(key, "is out of range", allowed)
+            self.fault(key, "is out of range", allowed, "give one within that range")
         else:
             return value
         return default
@@ -152,11 +165,11 @@ class Reader:
             return value
         allowed = f"1 to {longest} printable characters"
         if not isinstance(value, str):
-            self.fault(key, f"must be text, not {type_name(value)}", allowed)
+            self.fault(key, f"must be text, not {type_name(value)}", allowed, "write it in quotes")
         elif len(value) > longest:
             self.fault(key, f"has {len(value)} characters", allowed, "shorten it")
         elif not value.strip():
-            self.fault(key, "is empty", allowed)
+            self.fault(key, "is empty", allowed, "give it a text, or leave it out where it is not required")
         elif value != value.strip():
             self.fault(key, "begins or ends with blanks", allowed, "remove them")
         elif not printable(value):
@@ -179,6 +192,7 @@ class Reader:
                 key,
                 "is not a usable id",
                 "up to 64 letters, digits, blanks and . _ - : + # ( ) ' &, beginning with a letter or digit",
+                "write it with those; its name may hold any printable text",
             )
         return value
 
@@ -189,9 +203,8 @@ class Reader:
         value = self.data[key]
         if value not in choices or not isinstance(value, str):
             close = difflib.get_close_matches(str(value), choices, n=1)
-            self.fault(
-                key, "is not one of the choices", " or ".join(choices), f"did you mean {close[0]}?" if close else ""
-            )
+            fix = f"did you mean {close[0]}?" if close else f"choose one of them; {default} is the default"
+            self.fault(key, "is not one of the choices", " or ".join(choices), fix)
             return default
         return value
 
@@ -203,10 +216,10 @@ class Reader:
             return []
         value = self.data[key]
         if not isinstance(value, list | tuple):
-            self.fault(key, f"must be a list, not {type_name(value)}", "a list")
+            self.fault(key, f"must be a list, not {type_name(value)}", "a list", "put it in square brackets")
             return []
         if len(value) > most:
-            self.faults.add(self.path(key), f"has {len(value)} items", None, f"at most {most}", "leave some out")
+            self.faults.add(self.path(key), f"has {len(value)} items", None, f"at most {most} items", "leave some out")
             return []
         return list(value)
 
@@ -218,6 +231,18 @@ class Reader:
             missing.ok = False
             return missing
         return Reader(self.data[key], self.path(key), self.faults, fields)
+
+
+def _bare(value: object, unit: str) -> str:
+    """What to do about text where a number is wanted."""
+    if isinstance(value, str):
+        try:
+            number = float(value.strip())
+        except ValueError:
+            return f"give a plain number, in {unit}, without quotes"
+        if math.isfinite(number):
+            return f"write {number:.15g} without quotes"
+    return f"give a plain number, in {unit}"
 
 
 def _span(low: float, high: float, unit: str, above_low: bool) -> str:
@@ -239,23 +264,28 @@ def parse_json(data: bytes | str, *, max_bytes: int = MAX_DOCUMENT_BYTES) -> obj
     """
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
     if len(raw) > max_bytes:
-        raise MissionError([Fault("mission", f"has {len(raw)} bytes", None, f"at most {max_bytes} bytes")])
+        fix = "leave out what the mission does not need"
+        raise MissionError([Fault("mission", f"has {len(raw)} bytes", None, f"at most {max_bytes} bytes", fix)])
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         what = f"is not valid UTF-8 at byte {error.start}"
         raise MissionError([Fault("mission", what, None, "JSON in UTF-8", "save it as UTF-8")]) from None
+    if not text.strip():
+        raise MissionError([Fault("mission", "is empty", None, "a JSON object", "write the document into it")])
     try:
         return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
         what = f"is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}"
         raise MissionError([Fault("mission", what, None, "a JSON object", "correct the text there")]) from None
     except RecursionError:
-        raise MissionError([Fault("mission", "is nested too deep", None, "objects as documented")]) from None
+        fix = "remove the brackets that hold nothing"
+        raise MissionError([Fault("mission", "is nested too deep", None, "objects as documented", fix)]) from None
     except _BadJsonError as error:
         raise MissionError([error.fault]) from None
-    except ValueError as error:  # an integer of thousands of digits
-        raise MissionError([Fault("mission", f"holds a number that cannot be read: {error}")]) from None
+    except ValueError:  # an integer of thousands of digits
+        what, allowed = "holds a whole number of thousands of digits", "numbers of up to 4300 digits"
+        raise MissionError([Fault("mission", what, None, allowed, "write a number that is meant")]) from None
 
 
 class _BadJsonError(Exception):

@@ -173,23 +173,27 @@ Excess = Callable[[Mission], float]
 
 @dataclass(frozen=True)
 class _Knob:
-    """Something that can be given up in part: ``fix(share)`` for shares from 0 (nothing) to 1 (all of it)."""
+    """Something that can be given up in part: ``fix(share)`` for shares from 0 (nothing) to 1 (all of it).
+
+    ``offset`` is what stays however much is given up, in shares: what a share is measured against (`NEARNESS`).
+    """
 
     fix: Callable[[float], Fix]
+    offset: float = 0.0
 
 
 class Search:
     """Looks for the least changes after which ``excess`` of a mission is at most zero.
 
     ``excess``: how much a mission misses what is asked, e.g. seconds too many; infinite when it has no plan at all.
-    ``now`` is that of ``mission`` as it is.
+    ``now`` is that of ``mission`` as it is; ``plans`` how many may be made.
     """
 
-    def __init__(self, mission: Mission, excess: Excess, now: float) -> None:
+    def __init__(self, mission: Mission, excess: Excess, now: float, *, plans: int = MAX_PLANS) -> None:
         self._mission = mission
         self._excess = excess
         self._now = now
-        self._left = MAX_PLANS
+        self._left = plans
 
     def time_fixes(self) -> list[Fix]:
         """What can be given up to be sooner: overlap, tenure, margin, handovers, limits; the cheapest to try first."""
@@ -202,7 +206,7 @@ class Search:
         margin = options.range_margin_m
         if margin > 0.0:
             knobs.append(_Knob(lambda x: lower_margin(margin, (1.0 - x) * margin)))
-        knobs += [_Knob(_raising(n, v)) for n in _RAISABLE if (v := getattr(limits, n)) is not None]
+        knobs += [_raising(n, v) for n in _RAISABLE if (v := getattr(limits, n)) is not None]
         fixes = [fix for knob in knobs if (fix := self._least(knob)) is not None]
         if options.max_handovers is not None:
             fixes += self._first([{"action": "raise_limit", "limit": "max_handovers", "to": options.max_handovers + 1}])
@@ -224,11 +228,11 @@ class Search:
             }
 
         limits = self._mission.limits
-        knobs = [_Knob(slower)]
+        knobs = [_Knob(slower, offset=0.5)]
         for name in ("max_accel_m_s2", "max_jerk_m_s3") if limit is None else (limit,):
             given = getattr(limits, name)
             if given is not None:
-                knobs.append(_Knob(_raising(name, given)))
+                knobs.append(_raising(name, given))
         if velocity[2] != 0.0 and limit is None:
             room = float(velocity[2]) ** 2 / limits.max_accel_m_s2 + 10.0
             knobs.append(_Knob(_widening(self._mission, room, up=bool(velocity[2] > 0.0))))
@@ -244,6 +248,7 @@ class Search:
     def _least(self, knob: _Knob) -> Fix | None:
         """The smallest share of a knob that will do, as its fix; None when all of it would not.
 
+        Times do not always grow with what is asked (another sequence may suddenly be better), so less may do at times.
         The excess is interpolated between what is too little and what is enough (regula falsi), every step a little
         to the safe side; where that does not halve what is open, the next step does.
         """
@@ -254,13 +259,14 @@ class Search:
         if after > 0.0:
             return None
         halve = False
-        while high - low > NEARNESS * high and self._left > 0:
+        near = NEARNESS * knob.offset
+        while high - low > near + NEARNESS * high and self._left > 0:
             open_part = high - low
             middle = 0.5 * (low + high)
             if not halve and math.isfinite(before) and math.isfinite(after):
-                root = low + open_part * before / max(before - after, 1e-12) + 0.3 * NEARNESS * high
+                root = low + open_part * before / max(before - after, 1e-12) + 0.3 * (near + NEARNESS * high)
                 # Close to what is enough already: is a little less too little?
-                middle = min(max(root, low + 0.01 * open_part), high - 0.9 * NEARNESS * high)
+                middle = min(max(root, low + 0.01 * open_part), high - 0.9 * (near + NEARNESS * high))
                 middle = max(middle, low + 0.01 * open_part)
             excess = self._try(knob.fix(middle))
             if excess <= 0.0:
@@ -287,9 +293,12 @@ def _lowering_option(name: str, given_s: float) -> Callable[[float], Fix]:
     return lambda x: {"action": "lower_option", "option": name, "by_s": x * given_s, "to": (1.0 - x) * given_s}
 
 
-def _raising(name: str, given: float) -> Callable[[float], Fix]:
+def _raising(name: str, given: float) -> _Knob:
     most = (_RAISABLE[name] - 1.0) * given
-    return lambda x: {"action": "raise_limit", "limit": name, "by": x * most, "to": given + x * most}
+    return _Knob(
+        lambda x: {"action": "raise_limit", "limit": name, "by": x * most, "to": given + x * most},
+        offset=given / most,
+    )
 
 
 def _widening(mission: Mission, room_m: float, *, up: bool) -> Callable[[float], Fix]:

@@ -15,18 +15,23 @@ from gcs.infeasible import explain, words
 from gcs.layout import LaidOut, lay_out
 from gcs.mission import Mission
 from gcs.remedies import Fix, Search, apply_fix, chains, lower_margin
+from planner.bound import lower_bound
 from planner.errors import InfeasibleError, SolverError
 from planner.infeasibility import diagnose_ranges
-from planner.planner import Method, Planner
+from planner.infeasibility import explain as explain_problem
+from planner.joint import Effort, plan_joint
+from planner.planner import Method
 from planner.problem import Problem
+from planner.routing import candidate_routes
 from planner.solution import Solution
 from planner.trajectory import Trajectory
 
 # Plans tried where a flight that starts moving is to arrive later than it could, and how near is near enough.
 SLOWER_TRIES = 5
 SOON_S = 2.0
-# Steps of the solver in search of a start state that can be taken up; one that can takes twenty or thirty.
-START_ITERATIONS = 60
+# In search of a start state that can be taken up; one that can takes the solver twenty or thirty steps.
+START_PLANS = 40
+START_EFFORT = Effort(1, 4, max_iterations=60)
 # A margin is found to this many halvings of the one asked for.
 MARGIN_BISECTIONS = 40
 
@@ -77,7 +82,7 @@ def solve(laid: LaidOut, planner: PlannerLike, method: Method, time_limit_s: flo
         if finding.reason == "limits" and mission.options.start_state is not None and finding.fix is not None:
             limit = finding.fix.get("limit")
             if limit != "max_handovers":
-                raise _start_refused(mission, finding.message, limit) from error
+                raise _start_refused(mission, run, finding.message, limit) from error
         raise explain(laid.ground, laid.stations, finding, laid.problem.ranges_m) from error
     except SolverError as error:
         raise PlanningFailed(f"every planning method gave up: {error}") from error
@@ -211,14 +216,12 @@ def _refuse_late_arrival(mission: Mission) -> None:
     )
 
 
-def _start_refused(mission: Mission, message: str, limit: object) -> MissionInfeasible:
-    # Whether there is a way at all, a quick method tells as well, and one that soon gives up.
-    quick = Planner(max_iterations=START_ITERATIONS)
+def _start_refused(mission: Mission, run: Run, message: str, limit: object) -> MissionInfeasible:
+    def possible(changed: Mission) -> bool:
+        # What breaks a limit is seen at once, and what does not is soon planned; else a quick look has to do.
+        return _can_start(changed) if limit is None else math.isfinite(_planned_s(changed, run))
 
-    def run(problem: Problem, energy_weight: float) -> Solution:
-        return quick.plan(problem, method="fast", energy_weight=energy_weight)
-
-    search = Search(mission, lambda m: -1.0 if math.isfinite(_planned_s(m, run)) else math.inf, math.inf)
+    search = Search(mission, lambda m: -1.0 if possible(m) else math.inf, math.inf, plans=START_PLANS)
     fixes = search.start_fixes(None if limit is None else str(limit))
     fix = _with_alternatives(fixes[0], fixes[1:]) if fixes else None
     start = mission.start
@@ -233,6 +236,19 @@ def _start_refused(mission: Mission, message: str, limit: object) -> MissionInfe
         fix=fix,
         fix_text="" if fix is None else words(fix),
     )
+
+
+def _can_start(mission: Mission) -> bool:
+    """Whether a quick look finds a way to take up the start state, along the sequence that looks best.
+
+    Finding none takes a solver far longer than finding one: it is given few steps, and one try.
+    """
+    problem = _unhurried(lay_out(mission).problem)
+    bound = lower_bound(problem)
+    if explain_problem(problem, bound) is not None:
+        return False
+    (route,) = candidate_routes(problem, 1, bound=bound)
+    return plan_joint(problem, route.sequence, START_EFFORT, starts=1) is not None
 
 
 def _arriving(laid: LaidOut, run: Run, solution: Solution, arrival_s: float) -> Solution:

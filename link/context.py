@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gcs.flight import EventKind, FlightEvent, FlightState, advance
 from gcs.plan import Plan
 from link.clock import UtcScale
 from link.commands import Commander, Ticket
 from link.dialect import mavlink
-from link.gate import Fence, TransmitterGate
+from link.gate import VEHICLE_SPEAKER, Fence, TransmitterGate
 from link.localmap import LocalMap
 from link.profiles import AutopilotProfile
 from link.projection import EkfOrigin
@@ -20,7 +20,10 @@ from link.request import FlightRequest
 from link.setpoints import Setpoint
 from link.telemetry import EchoTracker, Sent, VehicleMonitor
 
-VEHICLE_STATION = "!"
+if TYPE_CHECKING:
+    from link.ownership import Keeper
+
+VEHICLE_STATION = VEHICLE_SPEAKER
 """Suffix of the gate's extra station that speaks with the vehicle's own id over a station's link (see ownership)."""
 
 
@@ -60,6 +63,8 @@ class FlightContext:
     setpoints_sent: int = 0
     last_setpoint_s: float = -math.inf
     last_setpoint: Setpoint | None = None
+    keeper: Keeper | None = None
+    """Moves ownership from station to station in flight, where that is how this vehicle is told of handovers."""
     _sequence: int = 0
 
     # -- people -------------------------------------------------------------------------------------------------------

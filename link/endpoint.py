@@ -95,6 +95,19 @@ def parse_url(url: str) -> LinkUrl:
     return LinkUrl(scheme, host, number)
 
 
+def is_local(url: str) -> bool:
+    """Whether a link's URL names this machine itself. Raises `EndpointUrlError`."""
+    parsed = parse_url(url)
+    if parsed.scheme == "serial":
+        return False
+    if parsed.host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(parsed.host.partition("%")[0]).is_loopback
+    except ValueError:
+        return False
+
+
 class Endpoint(abc.ABC):
     """One link: ``url`` as parsed, ``stats``, and ``is_stream``: whether frames may arrive in pieces."""
 

@@ -27,6 +27,7 @@ from link.endpoint import STREAM_SCHEMES, parse_url
 from link.gate import TransmitterGate
 from link.launch import Launch
 from link.localmap import LocalMap
+from link.mission_desk import MissionDesk
 from link.parameters import ParameterClient
 from link.profiles import PROFILES
 from link.progress import Announcer
@@ -103,7 +104,8 @@ class FlightCore:
             now_s=now_s,
         )
         self.parameters = ParameterClient(gate.send, vehicle, profile.parameter_encoding)
-        self.launch = Launch(self.context, self.parameters)
+        self.missions = MissionDesk(gate.send)
+        self.launch = Launch(self.context, self.parameters, self.missions)
         self.airborne = Airborne(self.context, self.launch)
         self.announcer = Announcer(self.context, self.airborne)
         self.lateness = Lateness()
@@ -145,7 +147,11 @@ class FlightCore:
             if kind == "COMMAND_ACK":
                 c.commander.on_ack(c.now_s, message)
             elif kind == "PARAM_VALUE":
-                self.parameters.on_value(message)
+                parameter = self.parameters.on_value(message)
+                if c.keeper is not None and parameter is not None:
+                    c.keeper.on_value(parameter.name, parameter.value)
+            elif kind.startswith("MISSION_"):
+                self.missions.on_message(c.now_s, message)
 
     def step(self, now_s: float) -> float:
         """Serve the tick that is due, if one is; the next deadline."""
@@ -160,6 +166,9 @@ class FlightCore:
             self._direct((1 + tick.skipped) / c.request.rate_hz)
             c.commander.step(c.now_s)
             self.parameters.step(c.now_s)
+            self.missions.step(c.now_s)
+            if c.keeper is not None and c.state.airborne:
+                c.keeper.step(c.now_s)
             self._heartbeats()
             self._probes()
         return self._grid.deadline_s
@@ -225,7 +234,7 @@ class FlightCore:
         if self._restoring is None:
             c.gate.accompany(None)
             if c.state is FlightState.LOST or c.armed:
-                self.launch.ownership_before = None
+                self.launch.loan.forget()
             self._restoring = self.launch.restore()
         try:
             next(self._restoring)
@@ -299,7 +308,9 @@ class FlightCore:
             due_s = FAST_PROBE_S if station in near else every_s
             if c.now_s - self._probed.get(station, -math.inf) >= due_s - 1e-6:
                 self._probed[station] = c.now_s
-                c.gate.probe(station, c.monitor.probe(c.now_s, station))
+                # A station the vehicle does not hear proves its link with the id that is always heard.
+                deaf = c.keeper is not None and station != c.gate.holder and not c.keeper.hears(station)
+                c.gate.probe(station + VEHICLE_STATION if deaf else station, c.monitor.probe(c.now_s, station))
 
     # -- words --------------------------------------------------------------------------------------------------------
 

@@ -20,6 +20,8 @@ from link.errors import GateClosed
 
 Encode = Callable[[Any], bytes]
 
+VEHICLE_SPEAKER = "!"
+"""Suffix of a station's second encoder, which speaks with the vehicle's own id over that station's link."""
 _HEARTBEAT = 0
 _TIMESYNC = 111
 
@@ -95,15 +97,23 @@ class TransmitterGate:
         """Whether ``fence`` is the grant in force."""
         return fence is not None and fence == self._fence
 
-    def send(self, fence: Fence | None, message: Any) -> bytes:
-        """Send control traffic under ``fence``; the frame that went out. Raises `GateClosed` for an old fence."""
+    def send(self, fence: Fence | None, message: Any, *, speaker: str | None = None) -> bytes:
+        """Send control traffic under ``fence``; the frame that went out. Raises `GateClosed` for an old fence.
+
+        ``speaker``: the other encoder of the same station's link (its id with `VEHICLE_SPEAKER`), where the frame is to
+        carry the vehicle's own id; anybody else's is no door.
+        """
         if fence is None or not self.admits(fence):
             self.stats.blocked += 1
             shown = "no fence" if fence is None else f"fence {fence.number} of {fence.station_id}"
             held = "nobody is" if self._fence is None else f"{self._fence.station_id} ({self._fence.number}) is"
             raise GateClosed(f"{message.get_type()} under {shown} was not sent: {held} in control")
+        station = fence.station_id.removesuffix(VEHICLE_SPEAKER)
+        if speaker is not None and speaker.removesuffix(VEHICLE_SPEAKER) != station:
+            self.stats.blocked += 1
+            raise GateClosed(f"{message.get_type()} of {speaker} was not sent: {station} is in control")
         self.stats.control += 1
-        return self._put(fence.station_id, message)
+        return self._put(fence.station_id if speaker is None else speaker, message)
 
     def heartbeat(self, station_id: str, message: Any) -> bool:
         """Send a heartbeat of ``station_id``; False, and nothing sent, when it is neither in control nor coming."""

@@ -13,7 +13,11 @@ operator_control
     the old station allows a takeover, the new one asks for control (command 32100); confirmed by its ack and, where
     the vehicle speaks it, CONTROL_STATUS (512).
 
-(Moving MAV_GCS_SYSID itself in flight is left out: a set whose answer is lost leaves nobody sure whom it hears.)
+parameter
+    the vehicle hears one station alone: its range of ids is first widened to both by the old station, control moves,
+    and the new station narrows the range to itself (`link.ownership.Keeper`). Without a range (before ArduPilot 4.7)
+    the old station names the new one, and control moves with the answer; unanswered, the new one is tried, and one of
+    the two is obeyed. A neighbour that takes over from a dead link opens the vehicle with the vehicle's own id.
 
 Evidence is one of: the vehicle repeats a setpoint that only the new station can have sent; it answers a command of the
 new station, to that station. TIMESYNC answers prove links, never control.
@@ -145,10 +149,16 @@ class Handover:
 
     @property
     def open(self) -> bool:
-        """Whether the flight may go on towards the border at full speed."""
+        """Whether the flight may go on towards the border at full speed.
+
+        After an attempt that failed not before one succeeds: a station that is proved and never obeyed would else
+        let the flight out of its coverage step by step.
+        """
+        if self.state in (HandoverState.CONFIRMED, HandoverState.RELEASED):
+            return True
         if self.state is HandoverState.REQUESTED:
-            return self._c.now_s - self._requested_s <= 0.5 * self.attempt_s
-        return self.state in (HandoverState.READY, HandoverState.CONFIRMED, HandoverState.RELEASED)
+            return self.attempts == 1 and self._c.now_s - self._requested_s <= 0.5 * self.attempt_s
+        return self.state is HandoverState.READY and self.attempts == 0
 
     def missing(self) -> str:
         """What the next station still lacks; empty when its link is proved and both sides agree."""
@@ -201,12 +211,18 @@ class Handover:
                 (1.0, 1.0, 10.0, float(self._c.system_ids[self.border.from_station])),
                 retry_s=0.2,
             )
+        elif self.way == "parameter" and self._c.keeper is not None and not reason:
+            # Heard first, then in control; `_follow_up` moves it.
+            if not self._c.keeper.ranged:
+                self._c.keeper.claimed = self.border.to_station
         else:
             self._move()
 
     def _move(self) -> None:
         """Control is the new station's from here on; it speaks first, then its setpoint of this tick follows."""
         c = self._c
+        if c.keeper is not None:
+            c.keeper.claimed = None
         c.grant(self.border.to_station, f"handover {self.border.index}")
         c.gate.accompany(self.border.from_station)
         self._moved_s = c.now_s
@@ -223,7 +239,12 @@ class Handover:
     def _follow_up(self) -> None:
         c = self._c
         if math.isinf(self._moved_s):
-            if self._allow is not None and self._allow.accepted:
+            if self.way == "parameter" and c.keeper is not None:
+                # An answer that was lost leaves two the vehicle may hear: the new one is tried for the other half.
+                unsure = c.now_s - self._requested_s >= 0.5 * self.attempt_s and not c.keeper.ranged
+                if c.keeper.hears(self.border.to_station) or unsure:
+                    self._move()
+            elif self._allow is not None and self._allow.accepted:
                 self._move()
             elif self._allow is not None and self._allow.finished and self._allow.result is not None:
                 self._fail(HandoverEvent.NAK, f"the vehicle answered {self._allow.outcome}")
@@ -255,6 +276,10 @@ class Handover:
             return ""
         if answered and ticket is not None and ticket.result not in _REFUSALS:
             return "a command of it was answered"
+        if self.way == "parameter":
+            # A vehicle that drops the new station in silence runs on along the old one's last setpoint, which may look
+            # like the new one's for seconds: only an answer shows whom it hears.
+            return ""
         fence = c.gate.fence
         if c.monitor.target is not None and c.monitor.target_s > self._moved_s and fence is not None:
             held = c.echoes.held(c.monitor.target)
@@ -278,6 +303,8 @@ class Handover:
             if ticket is not None:
                 self._c.commander.cancel(ticket)
         self._c.gate.accompany(None)
+        if self._c.keeper is not None:
+            self._c.keeper.claimed = None
         self._c.grant(self.border.from_station, f"handover {self.border.index} not confirmed")
         self._retry_s = self._c.now_s + REASK_S
         self._proof_after_s = self._c.now_s

@@ -54,6 +54,27 @@ _RESULTS = {
 _RETRY = (mavlink.MAV_MISSION_ERROR, mavlink.MAV_MISSION_OPERATION_CANCELLED)
 
 
+def difference(
+    expected: Sequence[MissionItem], held: Sequence[MissionItem], traits: MissionTraits, mission_type: int
+) -> str:
+    """How a vehicle's list differs from the one meant; empty when it does not."""
+    first = 0
+    if traits.first_item_is_home and mission_type == MISSION:
+        # Item 0 is home: the vehicle puts its own there, and keeps it when the list is cleared.
+        first = 1
+        if not expected and len(held) <= 1:
+            return ""
+    if len(held) != len(expected):
+        return f"the vehicle holds {len(held)} items instead of {len(expected)}"
+    strict = traits.keeps_parameters
+    # ArduPilot keeps a rally point's altitude in whole metres.
+    altitude_m = 1.0 if mission_type == RALLY and not strict else ALTITUDE_TOLERANCE_M
+    for index in range(first, len(held)):
+        if not expected[index].same_as(held[index], parameters=strict, altitude_tolerance_m=altitude_m):
+            return f"item {index} is {held[index]} instead of {expected[index]}"
+    return ""
+
+
 class _Verified(MissionTransfer):
     """A transfer that ends with reading the list back."""
 
@@ -100,22 +121,7 @@ class _Verified(MissionTransfer):
             self._done()
 
     def _difference(self, held: list[MissionItem]) -> str:
-        """How the vehicle's list differs from the one meant; empty when it does not."""
-        first = 0
-        if self.traits.first_item_is_home and self.mission_type == MISSION:
-            # Item 0 is home: the vehicle puts its own there, and keeps it when the list is cleared.
-            first = 1
-            if not self.expected and len(held) <= 1:
-                return ""
-        if len(held) != len(self.expected):
-            return f"the vehicle holds {len(held)} items instead of {len(self.expected)}"
-        strict = self.traits.keeps_parameters
-        # ArduPilot keeps a rally point's altitude in whole metres.
-        altitude_m = 1.0 if self.mission_type == RALLY and not strict else ALTITUDE_TOLERANCE_M
-        for index in range(first, len(held)):
-            if not self.expected[index].same_as(held[index], parameters=strict, altitude_tolerance_m=altitude_m):
-                return f"item {index} is {held[index]} instead of {self.expected[index]}"
-        return ""
+        return difference(self.expected, held, self.traits, self.mission_type)
 
     def _receive(self, message: Any, now_s: float) -> None:
         if self._check is not None:

@@ -19,6 +19,8 @@ from link.params import Encoding, Parameter, read_parameter, write_parameter
 
 ASK_AGAIN_S = 0.5
 ATTEMPTS = 8
+MOST_A_STEP = 12
+"""Questions in one step."""
 
 
 @dataclass
@@ -74,12 +76,12 @@ class ParameterClient:
         self._settings[name] = setting
         return setting
 
-    def on_value(self, message: Any) -> None:
-        """Take a PARAM_VALUE of the vehicle."""
+    def on_value(self, message: Any) -> Parameter | None:
+        """Take a PARAM_VALUE of the vehicle; what it says, None where it cannot be read."""
         try:
             parameter = read_parameter(message, self.encoding)
         except ParameterError:
-            return
+            return None
         self.known[parameter.name] = parameter
         asked = self._asked.pop(parameter.name, None)
         if asked is not None:
@@ -88,11 +90,14 @@ class ParameterClient:
         if setting is not None and same_value(parameter.value, setting.value):
             setting.confirmed = setting.finished = True
             del self._settings[parameter.name]
+        return parameter
 
     def step(self, now_s: float) -> None:
-        """Ask again what is due, give up what was asked often enough."""
-        for asked in list(self._asked.values()):
-            if now_s >= asked.next_s and not self._again(now_s, asked, self._asked, self._read_message(asked.name)):
+        """Ask again what is due, a few at a time, and give up what was asked often enough."""
+        # A burst of fifty questions would overrun a radio's buffer, and be asked again and again.
+        due = [asked for asked in self._asked.values() if now_s >= asked.next_s]
+        for asked in due[:MOST_A_STEP]:
+            if not self._again(now_s, asked, self._asked, self._read_message(asked.name)):
                 asked.finished = True
         for setting in list(self._settings.values()):
             if now_s < setting.next_s:

@@ -1,163 +1,67 @@
-"""What must hold before anything is armed, judged from what was read back.
+"""What must hold before anything is armed: the vehicle, its place, its links, its limits against the plan.
 
-Both autopilots ship with their failsafes off or meaningless for a flight without a pilot's radio; a flight that depends
-on them is refused until they read back as required. Every finding says what was found, what is required and
-what to do; the worst level decides.
+Its failsafe parameters are judged in `link.failsafes`, its fence in `link.fence`. Every finding says what was found,
+what is required and what to do.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
+from gcs.own_return import OwnReturn, Place, ReturnRules
 from gcs.plan import Plan
-from link.params import Parameter
+from link.checks import Check, Level
+from link.failsafes import Values, judge_failsafes, judge_rally_limit
 from link.profiles import AutopilotProfile
+from link.projection import EkfOrigin
 from link.request import FlightRequest
+from link.telemetry import LinkQuality
+
+__all__ = [
+    "Check",
+    "Identity",
+    "Level",
+    "judge_clock",
+    "judge_identity",
+    "judge_link",
+    "judge_origin",
+    "judge_own_return",
+    "judge_parameters",
+    "judge_performance",
+    "judge_place",
+    "judge_plan",
+    "judge_vehicle",
+    "return_rules",
+]
 
 GRAVITY_M_S2 = 9.80665
 MIN_START_HEIGHT_M = 3.0
 """The plan's start must be this far above the vehicle's ground: below it a take-off is no take-off."""
 BATTERY_LOW_PERCENT = 30
+CLOCK_TOLERANCE_S = 1.0
+LOSS_TOLERATED = 0.3
+"""Share of a link's probes lost, there or back, from which a person is told."""
+LATE_SHARE = 0.5
+"""Of the time one attempt at a handover may take: a longer round trip is told, one longer than all of it refused."""
+
+OLDEST = {"px4": (1, 12), "ardupilot": (4, 3)}
+"""Firmware that the profiles were made for."""
+_ROTORCRAFT = frozenset({2, 3, 4, 13, 14, 15, 29, 35})
+_VTOL = frozenset(range(19, 26))
+_RELEASES = ((64, "dev"), (128, "alpha"), (192, "beta"), (255, "rc"))
 
 
-class Level(IntEnum):
-    """How bad a finding is."""
-
-    PASS = 0
-    WARNING = 1
-    FAILURE = 2
-
-
-@dataclass(frozen=True)
-class Check:
-    """One finding. ``set`` is the remedy where it is one parameter: its name on this vehicle and the value."""
-
-    name: str
-    level: Level
-    message: str
-    value: object = None
-    required: str = ""
-    set: tuple[str, int | float] | None = None
-
-    def to_document(self) -> dict[str, object]:
-        """As a JSON object."""
-        return {
-            "name": self.name,
-            "level": self.level.name.lower(),
-            "message": self.message,
-            "value": self.value,
-            "required": self.required,
-            "set": None if self.set is None else {"name": self.set[0], "value": self.set[1]},
-        }
+def judge_parameters(profile: AutopilotProfile, values: Values, request: FlightRequest) -> list[Check]:
+    """Findings about the failsafe parameters, for this flight; see `link.failsafes`."""
+    checks = judge_failsafes(profile, values, request.rate_hz)
+    safe_points = request.rally and bool(request.flown_plan.mission.safe_points)
+    return [*checks, *judge_rally_limit(values, request.flown_plan, wanted=safe_points)]
 
 
-@dataclass(frozen=True)
-class Rule:
-    """What one parameter must be. ``fix`` makes the value to set of the one found, None where a person decides."""
-
-    key: str
-    holds: Callable[[float], bool]
-    required: str
-    why: str
-    fix: Callable[[float], int | float] | None = None
-    level: Level = Level.FAILURE
-
-
-def _rules_px4(request: FlightRequest, values: Mapping[str, Parameter | None]) -> list[Rule]:
-    least = max(0.3, 4.0 / request.rate_hz)
-    pilot = values.get("rc_input_mode")
-    rules = [
-        Rule(
-            "offboard_loss_timeout",
-            lambda v: least <= v <= 5.0,
-            f"{least:g} to 5 s",
-            "how long the stream may be silent before the vehicle acts",
-            lambda v: 1.0,
-        ),
-        Rule(
-            "offboard_loss_action",
-            lambda v: v in (3, 4, 5),
-            "3 (return), 4 (land) or 5 (hold)",
-            "what it does when the stream stops; the rest needs a pilot's radio or drops the vehicle",
-            lambda v: 5,
-        ),
-        Rule(
-            "data_link_loss_action",
-            lambda v: v in (1, 2, 3),
-            "1 (hold), 2 (return) or 3 (land)",
-            "what it does when every station falls silent",
-            lambda v: 2,
-        ),
-        Rule("data_link_loss_timeout", lambda v: 3 <= v <= 60, "3 to 60 s", "how long until that", lambda v: 10),
-    ]
-    if pilot is None or pilot.value != 4:
-        rules.append(
-            Rule(
-                "rc_loss_exceptions",
-                lambda v: bool(int(v) & 4),
-                "bit 2 (offboard) set",
-                "without a pilot's radio its loss would end the flight",
-                lambda v: int(v) | 4,
-            )
-        )
-    return rules
-
-
-def _rules_ardupilot(request: FlightRequest, values: Mapping[str, Parameter | None]) -> list[Rule]:
-    least = max(0.3, 4.0 / request.rate_hz)
-    return [
-        Rule(
-            "offboard_loss_timeout",
-            lambda v: least <= v <= 3.0,
-            f"{least:g} to 3 s",
-            "how long the vehicle runs on along its last velocity when the stream stops",
-            lambda v: 3.0,
-        ),
-        Rule(
-            "gcs_failsafe",
-            lambda v: v in (1, 3, 4, 5, 6, 7),
-            "1 (return) or 3 to 7",
-            "what it does when the owner's heartbeat stops",
-            lambda v: 1,
-        ),
-        Rule("gcs_failsafe_timeout", lambda v: 2 <= v <= 30, "2 to 30 s", "how long until that", lambda v: 5),
-        Rule(
-            "failsafe_options",
-            lambda v: bool(int(v) & 4),
-            "bit 2 set where a pilot's radio is fitted",
-            "else the loss of that radio ends GUIDED",
-            level=Level.WARNING,
-        ),
-    ]
-
-
-def judge_parameters(
-    profile: AutopilotProfile, values: Mapping[str, Parameter | None], request: FlightRequest
-) -> list[Check]:
-    """Findings about the parameters; ``values`` by `ParameterName.key`, None where the vehicle knows no such name."""
-    rules = _rules_px4(request, values) if profile.name == "px4" else _rules_ardupilot(request, values)
-    checks = []
-    for rule in rules:
-        parameter = values.get(rule.key)
-        if parameter is None:
-            names = " or ".join(profile.parameter(rule.key).names)
-            checks.append(Check(names, rule.level, f"not known to the vehicle: {rule.why}", None, rule.required))
-        elif math.isfinite(parameter.value) and rule.holds(parameter.value):
-            checks.append(Check(parameter.name, Level.PASS, rule.why, parameter.value, rule.required))
-        else:
-            value = parameter.value if math.isfinite(parameter.value) else 0.0
-            remedy = None if rule.fix is None else (parameter.name, rule.fix(value))
-            shown = parameter.value if math.isfinite(parameter.value) else str(parameter.value)
-            checks.append(Check(parameter.name, rule.level, f"unsafe: {rule.why}", shown, rule.required, remedy))
-    return checks
-
-
-def judge_performance(profile: AutopilotProfile, values: Mapping[str, Parameter | None], plan: Plan) -> list[Check]:
+def judge_performance(profile: AutopilotProfile, values: Values, plan: Plan) -> list[Check]:
     """Findings about what the plan asks of the vehicle: speed, climb and lean against its own limits."""
     checks = []
     times = np.linspace(0.0, plan.trajectory.duration_s, max(2, math.ceil(plan.trajectory.duration_s / 0.5)))
@@ -174,7 +78,7 @@ def judge_performance(profile: AutopilotProfile, values: Mapping[str, Parameter 
         # ArduPilot's own navigation speeds do not bound position targets; its lean does.
         if parameter is None or not binding:
             continue
-        fits = asked <= float(parameter.value) * 1.001
+        fits = asked <= profile.parameter(key).measure(parameter) * 1.001
         message = f"the plan's top {what} is {asked:.2f} m/s" + ("" if fits else "; the vehicle would fall behind")
         checks.append(
             Check(
@@ -183,16 +87,18 @@ def judge_performance(profile: AutopilotProfile, values: Mapping[str, Parameter 
                 message,
                 parameter.value,
                 f"at least {asked:.2f} m/s, or a slower plan",
+                fix=f"raise {parameter.name}, or plan with lower limits",
             )
         )
     tilt = values.get("max_tilt")
     if tilt is not None:
-        degrees = float(tilt.value) * (0.01 if profile.name == "ardupilot" else 1.0)
+        degrees = profile.parameter("max_tilt").measure(tilt)
         possible = GRAVITY_M_S2 * math.tan(math.radians(min(degrees, 80.0)))
         needed = plan.mission.limits.max_accel_m_s2
         level = Level.PASS if needed <= 0.8 * possible else Level.WARNING if needed <= possible else Level.FAILURE
         message = f"{degrees:.0f} degrees of lean give {possible:.1f} m/s^2, drag included; the plan asks {needed:g}"
-        checks.append(Check(tilt.name, level, message, tilt.value, f"room for {needed:g} m/s^2"))
+        fix = f"raise {tilt.name}, or plan with a smaller max_accel_m_s2"
+        checks.append(Check(tilt.name, level, message, tilt.value, f"room for {needed:g} m/s^2", fix=fix))
     return checks
 
 
@@ -210,6 +116,7 @@ def judge_place(
             f"the vehicle is {off_m:.1f} m from the plan's start",
             round(off_m, 1),
             f"at most {request.max_transit_m:g} m",
+            fix="take the vehicle to the plan's start, or plan from where it is",
         )
     ]
     height_m = float(start[2]) + plan.plane.alt_amsl_m - ground_amsl_m
@@ -220,6 +127,7 @@ def judge_place(
             f"the plan starts {height_m:.1f} m above the vehicle's ground ({ground_amsl_m:.1f} m AMSL)",
             round(height_m, 1),
             f"at least {MIN_START_HEIGHT_M:g} m",
+            fix="plan with a higher start, or check the vehicle's altitude",
         )
     )
     index = plan.trajectory.sequence[0]
@@ -235,20 +143,226 @@ def judge_place(
             f"{station.id} is at most {float(ways.max()):.0f} m away during take-off and transit",
             round(float(ways.max()), 1),
             f"at most {limit:.0f} m (its range less the margin)",
+            fix="take the vehicle nearer to the plan's start",
         )
     )
     return checks
 
 
-def judge_way_home(plan: Plan) -> Check:
-    """Whether the autopilot's own return, straight home, stays in anybody's range (a warning where it does not)."""
-    outside_s = sum(c.to_s - c.from_s for c in plan.contingencies if not c.straight_home_covered)
-    share = outside_s / plan.mission_time_s
-    message = "the autopilot's own return, straight home, " + (
-        "stays in range throughout" if share == 0.0 else f"leaves every range when begun in {share:.0%} of the flight"
+def return_rules(
+    profile: AutopilotProfile, values: Values, plan: Plan, home_enu_m: Place, points: tuple[tuple[str, Place], ...]
+) -> ReturnRules:
+    """What the vehicle does when it returns by itself, as it is set; ``points`` are the rally points it holds."""
+
+    def measured(key: str) -> float | None:
+        known = any(parameter.key == key for parameter in profile.parameters)
+        return profile.measure(values, key) if known else None
+
+    limits = plan.mission.limits
+    height_m = measured("return_altitude")
+    limit_km = measured("rally_limit") or 0.0
+    elsewhere = bool(points) and (measured("return_type") in (1.0, 5.0) or measured("rally_home") == 0.0)
+    speed_m_s = measured("return_speed") or measured("max_speed") or limits.max_speed_m_s
+    return ReturnRules(
+        home_enu_m=home_enu_m,
+        points=points,
+        climb_to_up_m=-math.inf if height_m is None else home_enu_m[2] + height_m,
+        limit_m=None if limit_km <= 0.0 else 1000.0 * limit_km,
+        home_counts=not elsewhere,
+        speed_m_s=max(0.5, speed_m_s),
+        climb_m_s=max(0.2, measured("max_climb") or 1.0),
+        sink_m_s=max(0.2, measured("max_descent") or 1.0),
     )
-    level = Level.PASS if share == 0.0 else Level.WARNING
-    return Check("way home", level, message, round(share, 3), "known to the crew")
+
+
+def judge_own_return(plan: Plan, rules: ReturnRules, returns: tuple[OwnReturn, ...]) -> list[Check]:
+    """Where the autopilot's own failsafe takes the vehicle: in range or not, how long, how high."""
+    duration_s = plan.mission_time_s
+    share = sum(way.to_s - way.from_s for way in returns if not way.covered) / duration_s
+    longest = max(returns, key=lambda way: way.duration_s)
+    places = list(dict.fromkeys(way.to or "home" for way in returns))
+    begun = "" if share == 0.0 else f" when begun in {share:.0%} of the flight"
+    told = "stays in range throughout" if share == 0.0 else f"leaves every range{begun}"
+    checks = [
+        Check(
+            "own return",
+            Level.PASS if share == 0.0 else Level.WARNING,
+            f"the autopilot's own return, straight to {' or '.join(places)}, {told}; "
+            f"it takes up to {longest.duration_s:.0f} s",
+            {"share_outside": round(share, 3), "longest_s": round(longest.duration_s, 1), "places": places},
+            "known to the crew",
+            fix="add safe points in range along the path, or let the crew expect the silence",
+        )
+    ]
+    limits = plan.mission.limits
+    if limits.endurance_s is not None:
+        late = max(returns, key=lambda way: way.to_s + way.duration_s)
+        whole_s = late.to_s + late.duration_s
+        fits = whole_s <= limits.endurance_s
+        checks.append(
+            Check(
+                "own return endurance",
+                Level.PASS if fits else Level.WARNING,
+                f"a return begun at T+{late.to_s:.0f} s ends at T+{whole_s:.0f} s",
+                round(whole_s, 1),
+                f"at most {limits.endurance_s:g} s (endurance)",
+                fix="add safe points near the end of the path",
+            )
+        )
+    if math.isfinite(rules.climb_to_up_m):
+        height_amsl_m = rules.climb_to_up_m + plan.plane.alt_amsl_m
+        over = height_amsl_m > limits.max_alt_amsl_m
+        checks.append(
+            Check(
+                "return altitude",
+                Level.WARNING if over else Level.PASS,
+                f"the autopilot's own return climbs to {height_amsl_m:.0f} m AMSL"
+                + (f", above the mission's {limits.max_alt_amsl_m:g} m" if over else ""),
+                round(height_amsl_m, 1),
+                f"at most {limits.max_alt_amsl_m:g} m AMSL, where the airspace asks for it",
+                fix="lower the vehicle's return altitude, or clear the airspace above",
+            )
+        )
+    return checks
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who the vehicle says it is: AUTOPILOT_VERSION (148), or what another client read of it."""
+
+    version: tuple[int, int, int]
+    release: str
+    git_hash: str
+    board: str
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        number = ".".join(map(str, self.version)) + (f"-{self.release}" if self.release else "")
+        return f"{number}, git {self.git_hash or 'unknown'}, board {self.board or 'unknown'}"
+
+    @classmethod
+    def from_message(cls, message: object) -> Identity:
+        """From AUTOPILOT_VERSION."""
+        number = int(message.flight_sw_version)  # type: ignore[attr-defined]
+        custom = bytes(message.flight_custom_version)  # type: ignore[attr-defined]
+        board = int(message.board_version)  # type: ignore[attr-defined]
+        ids = f"{int(message.vendor_id):04x}:{int(message.product_id):04x}"  # type: ignore[attr-defined]
+        kind = number & 255
+        release = next((name for below, name in _RELEASES if kind < below), "")
+        # ArduPilot writes the hash as text, PX4 as a number, lowest byte first.
+        as_text = custom.rstrip(b"\0")
+        text = as_text.decode("ascii") if as_text.isascii() and as_text.isalnum() else custom[::-1].hex()
+        return cls(
+            (number >> 24 & 255, number >> 16 & 255, number >> 8 & 255),
+            release,
+            text if any(custom) else "",
+            f"{board >> 16 or board} ({ids})" if board or any(c != "0" for c in ids if c != ":") else "",
+        )
+
+
+def judge_identity(profile: AutopilotProfile, identity: Identity | None, vehicle_type: int | None) -> list[Check]:
+    """Findings about who the vehicle is; ``vehicle_type`` is the MAV_TYPE of its HEARTBEAT."""
+    oldest = ".".join(map(str, OLDEST[profile.name]))
+    required = f"{profile.title} {oldest} or newer"
+    if identity is None:
+        message = f"{profile.title}; it does not tell its version"
+        check = Check("vehicle", Level.WARNING, message, None, required, fix="look up its firmware before you fly")
+    else:
+        old = identity.version[:2] < OLDEST[profile.name]
+        message = f"{profile.title} {identity.text}" + ("; older than what this was made for" if old else "")
+        level = Level.WARNING if old else Level.PASS
+        check = Check("vehicle", level, message, ".".join(map(str, identity.version)), required, fix="update it")
+    if vehicle_type is None:
+        return [check]
+    fit = vehicle_type in (_ROTORCRAFT | _VTOL if profile.name == "px4" else _ROTORCRAFT)
+    return [
+        check,
+        Check(
+            "vehicle type",
+            Level.PASS if fit else Level.FAILURE,
+            f"MAV_TYPE {vehicle_type} " + ("can hover" if fit else "is no multicopter"),
+            vehicle_type,
+            "a vehicle that hovers and takes position setpoints",
+            fix="fly a multicopter",
+        ),
+    ]
+
+
+def judge_clock(vehicle_unix_s: float | None, our_unix_s: float, *, simulated: bool) -> Check:
+    """The vehicle's UTC (SYSTEM_TIME, from its satellites) against ours, by which schedules are told to people."""
+    required = f"within {CLOCK_TOLERANCE_S:g} s"
+    if vehicle_unix_s is None:
+        return Check("clock", Level.PASS, "the vehicle tells no UTC to compare this machine's with", None, required)
+    skew_s = our_unix_s - vehicle_unix_s
+    if simulated:
+        return Check("clock", Level.PASS, "a simulator keeps its own time", round(skew_s, 3), required)
+    fits = abs(skew_s) <= CLOCK_TOLERANCE_S
+    message = f"this machine's clock is {abs(skew_s):.2f} s {'ahead of' if skew_s > 0 else 'behind'} the vehicle's UTC"
+    fix = "let this machine follow NTP; launch times and handover times in UTC are off by as much"
+    return Check("clock", Level.PASS if fits else Level.WARNING, message, round(skew_s, 3), required, fix=fix)
+
+
+def judge_link(
+    station: str,
+    url: str,
+    *,
+    works: bool,
+    same_origin: bool,
+    required: bool,
+    quality: LinkQuality | None,
+    attempt_s: float,
+    signed: bool,
+    loopback: bool,
+) -> list[Check]:
+    """A station's link: heard and answered, how good it is, and whether it is signed.
+
+    ``required``: must work on the ground already. ``attempt_s``: how long one attempt at a handover may take.
+    """
+    name = f"link {station}"
+    if not same_origin:
+        fix = "wait until the estimator has settled, and check that one vehicle is behind every link"
+        told = "another EKF origin is told over it"
+        return [Check(name, Level.FAILURE, told, url, "the same EKF origin over every link", fix=fix)]
+    security = "signed" if signed else "unsigned, on this machine" if loopback else "unsigned, as allowed"
+    figures = ""
+    level, fix = Level.PASS, ""
+    if quality is not None:
+        figures = (
+            f", {quality.loss:.0%} lost, {1e3 * quality.round_trip_s:.0f} ms there and back, "
+            f"{1e3 * quality.jitter_s:.0f} ms jitter"
+        )
+        if quality.round_trip_s >= attempt_s:
+            level, fix = Level.FAILURE, f"no handover could be confirmed in {attempt_s:g} s: use a faster link"
+        elif quality.round_trip_s > LATE_SHARE * attempt_s or quality.loss > LOSS_TOLERATED:
+            level, fix = Level.WARNING, "look for interference, a busy network or a weak antenna"
+    if not works:
+        level = Level.FAILURE if required else Level.WARNING
+        fix = f"check that link: is {url} right, and the vehicle in its range?"
+    elif level is Level.PASS and not (signed or loopback):
+        level, fix = Level.WARNING, "sign it with --signing-key, or keep it inside a private network"
+    message = (
+        f"the vehicle is heard and answers over it{figures}; {security}"
+        if works
+        else "the vehicle is not heard over it (yet: it may be out of range)"
+    )
+    return [Check(name, level, message, url, "heard and answered, in time", fix=fix)]
+
+
+def judge_origin(origin: EkfOrigin | None) -> Check:
+    """The EKF origin, from which the vehicle counts."""
+    if origin is None:
+        fix = "wait for satellites; check its receiver"
+        return Check("EKF origin", Level.ERROR, "the vehicle has none yet", None, "told by the vehicle", fix=fix)
+    text = f"{origin.lat_deg:.7f}, {origin.lon_deg:.7f}, {origin.alt_amsl_m:.1f} m AMSL"
+    return Check("EKF origin", Level.PASS, text, text, "told by the vehicle")
+
+
+def judge_plan(plan: Plan, stations: tuple[str, ...], *, words: bool) -> Check:
+    """The one plan every station of the flight has."""
+    how = "each operator's word names it" if words else "one streamer serves them all"
+    message = f"{plan.plan_sha256[:12]} for {', '.join(stations)}: {how}"
+    return Check("plan", Level.PASS, message, plan.plan_sha256, "the same plan at every station")
 
 
 def judge_vehicle(
@@ -263,6 +377,7 @@ def judge_vehicle(
             "the vehicle is armed or in the air already" if armed or not on_ground else "disarmed, on the ground",
             {"armed": armed, "landed_state": landed_state},
             "disarmed and on the ground",
+            fix="land and disarm it",
         )
     ]
     if battery_percent is not None:
@@ -274,6 +389,7 @@ def judge_vehicle(
                 f"{battery_percent} % left",
                 battery_percent,
                 f"{BATTERY_LOW_PERCENT} % or more",
+                fix="charge or change it",
             )
         )
     if speedup != 1.0 or simulator_speedup is not None:
@@ -286,6 +402,7 @@ def judge_vehicle(
                 f"the flight's clock runs {speedup:g} times as fast; {said}",
                 simulator_speedup,
                 f"our simulator at a speed-up of {speedup:g}" if speedup != 1.0 else "a speed-up of 1 on both sides",
+                fix="give `fly` and `simulate` the same --speedup",
             )
         )
     return checks

@@ -28,6 +28,8 @@ from typing import Any, Literal
 from link import projection
 from link.dialect import mavlink
 from link.errors import MissingOrigin, UnsafeSetpoint
+from link.parameter_names import ARDUPILOT_PARAMETERS, PX4_PARAMETERS, ParameterName
+from link.params import Parameter
 from link.projection import EkfOrigin
 from link.setpoints import Setpoint
 
@@ -42,17 +44,6 @@ MAX_LOCAL_OFFSET_M = 1_000_000.0
 MAX_LOCAL_LATITUDE_DEG = 85.0
 """ArduPilot's longitude scaling is meaningless near the poles."""
 _UINT32 = 0xFFFFFFFF
-
-
-@dataclass(frozen=True)
-class ParameterName:
-    """A parameter a preflight check reads: ``names`` newest first, as the vehicle may know any one of them."""
-
-    key: str
-    names: tuple[str, ...]
-    integer: bool
-    unit: str
-    purpose: str
 
 
 @dataclass(frozen=True)
@@ -195,6 +186,11 @@ class AutopilotProfile(abc.ABC):
                 return parameter
         raise KeyError(key)
 
+    def measure(self, values: Mapping[str, Parameter | None], key: str) -> float | None:
+        """What was read of a parameter, in the unit of its `ParameterName`; None where nothing was."""
+        parameter = values.get(key)
+        return None if parameter is None else self.parameter(key).measure(parameter)
+
 
 def _check(field: str, value: float, low: float, high: float) -> None:
     # Written so that NaN fails it.
@@ -237,28 +233,7 @@ class Px4Profile(AutopilotProfile):
     stream_before_offboard_s = 1.0
     min_stream_hz = 2.0
     parameter_encoding = "bytewise"
-    parameters = (
-        ParameterName(
-            "offboard_loss_timeout", ("COM_OF_LOSS_T",), False, "s", "silence until the stream counts as lost"
-        ),
-        ParameterName("offboard_loss_action", ("COM_OBL_RC_ACT",), True, "", "what it does then"),
-        ParameterName(
-            "data_link_loss_action", ("NAV_DLL_ACT",), True, "", "what it does without any station's heartbeat"
-        ),
-        ParameterName("data_link_loss_timeout", ("COM_DL_LOSS_T",), True, "s", "silence until that"),
-        ParameterName(
-            "rc_loss_exceptions", ("COM_RCL_EXCEPT",), True, "bits", "modes in which a missing pilot's radio is fine"
-        ),
-        ParameterName("rc_loss_action", ("NAV_RCL_ACT",), True, "", "what it does without a pilot's radio"),
-        ParameterName("rc_input_mode", ("COM_RC_IN_MODE",), True, "", "where pilot's input comes from"),
-        ParameterName("return_altitude", ("RTL_RETURN_ALT",), False, "m", "height of the return above home"),
-        ParameterName("max_speed", ("MPC_XY_VEL_MAX",), False, "m/s", "horizontal speed limit"),
-        ParameterName("max_climb", ("MPC_Z_VEL_MAX_UP",), False, "m/s", "climb limit"),
-        ParameterName("max_descent", ("MPC_Z_VEL_MAX_DN",), False, "m/s", "descent limit"),
-        ParameterName("max_acceleration", ("MPC_ACC_HOR",), False, "m/s^2", "horizontal acceleration limit"),
-        ParameterName("max_tilt", ("MPC_TILTMAX_AIR",), False, "deg", "lean limit"),
-        ParameterName("system_id", ("MAV_SYS_ID",), True, "", "the vehicle's own MAVLink id"),
-    )
+    parameters = PX4_PARAMETERS
     mission = MissionTraits(
         keeps_old_after_failure=True,
         honours_cancel=True,
@@ -336,27 +311,7 @@ class ArduPilotProfile(AutopilotProfile):
     stream_before_offboard_s = 0.0
     min_stream_hz = 0.0
     parameter_encoding = "c_cast"
-    parameters = (
-        ParameterName("offboard_loss_timeout", ("GUID_TIMEOUT",), False, "s", "silence until it brakes and flies back"),
-        ParameterName("guided_options", ("GUID_OPTIONS",), True, "bits", "what GUIDED allows"),
-        ParameterName("gcs_failsafe", ("FS_GCS_ENABLE",), True, "", "what it does without the owner's heartbeat"),
-        ParameterName("gcs_failsafe_timeout", ("FS_GCS_TIMEOUT",), False, "s", "silence until that"),
-        ParameterName("failsafe_options", ("FS_OPTIONS",), True, "bits", "exceptions from failsafes"),
-        ParameterName(
-            "gcs_system_id", ("MAV_GCS_SYSID", "SYSID_MYGCS"), True, "", "station in control, or the lowest of a range"
-        ),
-        ParameterName("gcs_system_id_high", ("MAV_GCS_SYSID_HI",), True, "", "highest station of the range"),
-        ParameterName(
-            "enforce_gcs", ("MAV_OPTIONS", "SYSID_ENFORCE"), True, "bits", "bit 0: other stations are not heard"
-        ),
-        ParameterName("system_id", ("MAV_SYSID", "SYSID_THISMAV"), True, "", "the vehicle's own MAVLink id"),
-        ParameterName("return_altitude", ("RTL_ALT",), True, "cm", "height of the return above home"),
-        ParameterName("max_speed", ("WPNAV_SPEED",), False, "cm/s", "horizontal speed of its own navigation"),
-        ParameterName("max_climb", ("WPNAV_SPEED_UP",), False, "cm/s", "climb of its own navigation"),
-        ParameterName("max_descent", ("WPNAV_SPEED_DN",), False, "cm/s", "descent of its own navigation"),
-        ParameterName("max_acceleration", ("WPNAV_ACCEL",), False, "cm/s^2", "acceleration of its own navigation"),
-        ParameterName("max_tilt", ("ANGLE_MAX",), True, "cdeg", "lean limit"),
-    )
+    parameters = ARDUPILOT_PARAMETERS
     mission = MissionTraits(
         keeps_old_after_failure=False,
         honours_cancel=False,

@@ -7,6 +7,7 @@ import math
 from gcs.flight import HandoverState, TransitionError
 from link.context import FlightContext
 from link.handover import Border, Handover, borders
+from link.request import FlightRequest
 
 BORDER_GUARD_S = 0.5
 """The flight stops this much (of the plan's time) before the end of a station's coverage."""
@@ -14,6 +15,11 @@ TAKEOVER_SHARE = 0.6
 """Of the autopilot's time-out: so long one attempt at a handover, and an unproved link, may last."""
 TAKEOVER_PROVEN_S = 0.6
 """A neighbour that takes over at once must have been proved this lately."""
+
+
+def attempt_time_s(request: FlightRequest, loss_timeout_s: float) -> float:
+    """How long one attempt at a handover may last before the old station goes on."""
+    return min(0.5 * request.confirmation_time_s, TAKEOVER_SHARE * loss_timeout_s)
 
 
 class Relay:
@@ -102,6 +108,8 @@ class Relay:
         """Give up the handover under way: the flight lapsed."""
         self.handover = None
         self._c.gate.accompany(None)
+        if self._c.keeper is not None:
+            self._c.keeper.claimed = None
 
     def accept(self, index: int) -> None:
         """An operator's word for handover ``index``."""
@@ -129,7 +137,7 @@ class Relay:
         """The handover over a border: the one at hand, or a new one."""
         if self.handover is not None and self.handover.border == border:
             return self.handover
-        attempt_s = min(0.5 * self._c.request.confirmation_time_s, TAKEOVER_SHARE * self.loss_timeout_s)
+        attempt_s = attempt_time_s(self._c.request, self.loss_timeout_s)
         distrusted_s = self._distrusted_s.get(border.to_station, -math.inf)
         self.handover = Handover(self._c, border, self.way, attempt_s, distrusted_s)
         if border.index in self._accepted:

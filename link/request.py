@@ -13,7 +13,7 @@ from link.endpoint import parse_url
 from link.errors import EndpointUrlError, FlightRequestError
 from link.profiles import PROFILES
 
-HANDOVER_WAYS = ("auto", "gate", "range", "operator_control")
+HANDOVER_WAYS = ("auto", "gate", "range", "parameter", "operator_control")
 """How a vehicle is told of a handover: see `link.handover`."""
 SET_PARAMETERS = ("auto", "yes", "no")
 LAST_RESORTS = ("return", "land", "stay")
@@ -38,6 +38,8 @@ class FlightRequest:
       is refused.
     - ``set_parameters``: whether failsafe parameters found unsafe are set (and read back): ``"auto"`` on our simulator
       alone, ``"yes"``, or ``"no"``: then the flight is refused with what to set.
+    - ``rally``: upload the mission's safe points as rally points (what the vehicle held comes back after the flight);
+      ``fence``: lay a fence around the plan for the flight.
     - ``operator_words``: each handover needs the next station's operator's word.
     - ``wait_for_station_s``: how long to stand before a station that is not ready until the contingency is flown.
     - ``hold_limit_s``: how long a hold nobody asked for lasts until the contingency is flown.
@@ -62,6 +64,8 @@ class FlightRequest:
     lead_limit_s: float = 0.5
     set_parameters: str = "auto"
     handover_way: str = "auto"
+    rally: bool = True
+    fence: bool = False
     operator_words: bool = False
     wait_for_station_s: float = 60.0
     hold_limit_s: float = 300.0
@@ -162,6 +166,10 @@ class FlightRequest:
             for name, words in allowed.items()
             if getattr(self, name) not in words
         ]
+        if self.handover_way == "parameter" and self.autopilot == "px4":
+            allowed_ways = ", ".join(way for way in HANDOVER_WAYS if way != "parameter")
+            what = "PX4 has no parameter that says whom it hears"
+            problems.append(Fault("handover_way", what, "parameter", allowed_ways, "choose gate"))
         key = self.signing_key
         if key is not None and not (key.startswith(("file:", "env:")) and len(key.split(":", 1)[1]) > 0):
             # The value is not shown: it may be the key itself.

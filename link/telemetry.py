@@ -86,6 +86,8 @@ class VehicleMonitor:
         self.heartbeat: Heartbeat | None = None
         self.position: Position | None = None
         self.version: Any = None
+        self.unix_s: tuple[float, float] | None = None
+        """The vehicle's UTC (SYSTEM_TIME) and our clock when it came; None while it has none."""
         self.home_amsl_m: float | None = None
         self.landed_state: int = 0
         self.battery_percent: int | None = None
@@ -240,6 +242,10 @@ class VehicleMonitor:
     def _on_version(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.version = m
 
+    def _on_system_time(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        if m.time_unix_usec > 0 and fresh:
+            self.unix_s = (m.time_unix_usec * 1e-6, now_s)
+
     def _on_control_status(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.control_main, self.control_s = m.gcs_main, now_s
 
@@ -271,6 +277,7 @@ _HANDLERS = {
     "EXTENDED_SYS_STATE": VehicleMonitor._on_extended_state,
     "SYS_STATUS": VehicleMonitor._on_sys_status,
     "AUTOPILOT_VERSION": VehicleMonitor._on_version,
+    "SYSTEM_TIME": VehicleMonitor._on_system_time,
     "CONTROL_STATUS": VehicleMonitor._on_control_status,
     "STATUSTEXT": VehicleMonitor._on_text,
 }

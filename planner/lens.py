@@ -248,7 +248,7 @@ def _handover_fault(
         return None
     return Infeasibility(
         "limits",
-        f"at least {fewest} handovers are needed and {problem.max_handovers} allowed; allow {fewest}",
+        f"at least {fewest} handover{'' if fewest == 1 else 's'} are needed and {problem.max_handovers} allowed",
         fix={"action": "raise_limit", "limit": "max_handovers", "to": fewest},
     )
 

@@ -191,7 +191,25 @@ class _Search:
     def _push(
         self, root: _Root, right: complex, right_corner: int, left: complex, left_corner: int, cell: int, portal: int
     ) -> None:
-        bound, _ = _through(root.point, right, left, self._target)
+        # `_through` without the turn, the usual case first: the target in sight on the far side of the portal.
+        point, target = root.point, self._target
+        along, from_root, from_target = left - right, point - right, target - right
+        x, y = along.real, along.imag
+        side = x * from_root.imag - y * from_root.real
+        across = x * from_target.imag - y * from_target.real
+        reach = abs(along)
+        if abs(side) <= 1e-12 * reach * (reach + abs(from_root)):
+            bound, _ = _through(point, right, left, target)
+        else:
+            if side * across > 0.0:
+                target = right + along * (from_target / along).conjugate()
+            ahead, to_left, to_right = target - point, left - point, right - point
+            if to_left.real * ahead.imag - to_left.imag * ahead.real > 0.0:
+                bound = abs(to_left) + abs(target - left)
+            elif to_right.real * ahead.imag - to_right.imag * ahead.real < 0.0:
+                bound = abs(to_right) + abs(target - right)
+            else:
+                bound = abs(ahead)
         item = (root.length + bound, next(self._ties), root, right, right_corner, left, left_corner, cell, portal)
         heapq.heappush(self._queue, item)
 
@@ -208,7 +226,8 @@ class _Search:
         self, root: _Root, right: complex, right_corner: int, left: complex, left_corner: int, cell: int, entered: int
     ) -> None:
         origin = root.point
-        to_left, to_right = left - origin, right - origin
+        ox, oy = origin.real, origin.imag
+        lx, ly, rx, ry = left.real - ox, left.imag - oy, right.real - ox, right.imag - oy
         left_turn = right_turn = None
         turned_left = left_corner < 0
         turned_right = right_corner < 0
@@ -216,7 +235,19 @@ class _Search:
             # A cell with no other way out, unless the target is in it, leads nowhere.
             if portal == entered or (beyond != self._last and len(self._cells[beyond]) == 1):
                 continue
-            low, high = _seen(a - origin, b - origin, to_right, to_left)
+            # The part (low, high) of the portal between the two rays, from a to b.
+            ax, ay, bx, by = a.real - ox, a.imag - oy, b.real - ox, b.imag - oy
+            low, high = 0.0, 1.0
+            at_a, at_b = lx * ay - ly * ax, lx * by - ly * bx
+            if at_a > 0.0:
+                high = 0.0
+            elif at_b > 0.0:
+                high = at_a / (at_a - at_b)
+            at_a, at_b = rx * ay - ry * ax, rx * by - ry * bx
+            if at_b < 0.0:
+                low = 1.0
+            elif at_a < 0.0:
+                low = at_a / (at_a - at_b)
             # Seen straight from the root; beyond the edges of the view only by turning at the portal's own corners.
             if low < high:
                 p, p_corner = (a, a_corner) if low <= 0.0 else (a + low * (b - a), -1)
@@ -243,28 +274,6 @@ class _Search:
             points.append(link.point)
             link = link.previous
         return np.array([[z.real, z.imag] for z in reversed(points)])
-
-
-def _seen(a: complex, b: complex, to_right: complex, to_left: complex) -> tuple[float, float]:
-    """Part ``(low, high)`` of the segment a + s (b - a) left of the right ray and right of the left ray.
-
-    ``high`` is where the left ray leaves the segment (0: all of it is further left), ``low`` likewise on the right.
-    """
-    ax, ay, bx, by = a.real, a.imag, b.real, b.imag
-    low, high = 0.0, 1.0
-    x, y = to_left.real, to_left.imag
-    at_a, at_b = x * ay - y * ax, x * by - y * bx
-    if at_a > 0.0:
-        high = 0.0
-    elif at_b > 0.0:
-        high = at_a / (at_a - at_b)
-    x, y = to_right.real, to_right.imag
-    at_a, at_b = x * ay - y * ax, x * by - y * bx
-    if at_b < 0.0:
-        low = 1.0
-    elif at_a < 0.0:
-        low = at_a / (at_a - at_b)
-    return low, high
 
 
 def _through(root: complex, right: complex, left: complex, target: complex) -> tuple[float, complex | None]:

@@ -26,7 +26,7 @@ Indices = NDArray[np.int64]
 # Where on half a chord its portals lie: the outer ones are kept a little inside the lens.
 CHORD_FRACTIONS = {1: (0.0,), 3: (-0.999, 0.0, 0.999), 5: (-0.999, -0.5, 0.0, 0.5, 0.999)}
 # Above this many legs in the graph fewer portals are used.
-MAX_LEGS = 8_000_000
+MAX_LEGS = 3_000_000
 # How many portals are tried for every further sequence wanted.
 MAX_TRIALS = 100
 

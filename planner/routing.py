@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from planner.bound import LowerBound, lower_bound
 from planner.chords import leg_times_s
@@ -33,7 +34,7 @@ __all__ = ["MIN_LENS_M", "Route", "candidate_routes", "geodesic_sequence", "is_c
 # Above this many pairs of stations that meet, a coarse graph first leaves out stations far from any good path.
 MAX_PAIRS = 3_000
 # How much slower than the best a chain of masts may be for its stations to stay: a part of it, and seconds.
-COARSE_SLACK, COARSE_SLACK_S = 0.02, 30.0
+COARSE_SLACK, COARSE_SLACK_S = 0.01, 15.0
 # At least so many stations are kept, however densely they overlap.
 MIN_STATIONS = 100
 
@@ -95,19 +96,25 @@ def geodesic_sequence(problem: Problem, path_m: Array) -> tuple[int, ...] | None
 def _spans(path_m: Array, centres: Array, radii: Array) -> tuple[Array, Array]:
     """Where along the path ``(k, 2)`` it enters and leaves each disc (one span: shortest paths do not come back)."""
     enter, leave = np.full(len(radii), np.inf), np.full(len(radii), -np.inf)
+    tree = cKDTree(centres)
+    widest = float(radii.max())
     travelled = 0.0
     for a, b in pairwise(path_m):
         length = float(np.linalg.norm(b - a))
         if length == 0.0:
             continue
         unit = (b - a) / length
-        middle = (centres - a) @ unit
-        square = radii**2 - (((centres - a) ** 2).sum(axis=1) - middle**2)
+        reach = (0.5 * length + widest) * (1.0 + 1e-9)
+        near = np.array(tree.query_ball_point(0.5 * (a + b), reach, return_sorted=True), dtype=np.int64)
+        offset = centres[near] - a
+        middle = offset @ unit
+        square = radii[near] ** 2 - ((offset**2).sum(axis=1) - middle**2)
         half = np.sqrt(np.maximum(square, 0.0))
         low, high = np.maximum(middle - half, 0.0), np.minimum(middle + half, length)
         hit = (square >= 0.0) & (low <= high)
-        enter[hit] = np.minimum(enter[hit], travelled + low[hit])
-        leave[hit] = np.maximum(leave[hit], travelled + high[hit])
+        met = near[hit]
+        enter[met] = np.minimum(enter[met], travelled + low[hit])
+        leave[met] = np.maximum(leave[met], travelled + high[hit])
         travelled += length
     return enter, leave
 

@@ -27,6 +27,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--max-speed", type=float, metavar="M_S", help="top speed in level flight; sets the drag")
     made.add_argument("--tilt", type=float, metavar="DEG", help="largest lean, instead of the parameter's")
     made.add_argument("--wind", metavar="NORTH,EAST", help="velocity of the air, m/s")
+    made.add_argument("--firmware", default="", metavar="4.6", help="ArduCopter's older names for whom it hears")
     made.add_argument("--speaks-operator-control", action="store_true", help="CONTROL_STATUS and command 32100")
     made.add_argument("--duration", type=float, metavar="S", help="wall seconds to run; default: until stopped")
     return made
@@ -70,6 +71,7 @@ def main(arguments: list[str] | None = None) -> int:
             tilt_deg=options.tilt,
             wind_n_m_s=wind[0],
             wind_e_m_s=wind[1],
+            firmware=options.firmware,
             speaks_operator_control=options.speaks_operator_control,
             setpoint_log=2,
         )

@@ -141,12 +141,15 @@ class ArduCopter(Personality):
 
     def is_owner(self, system_id: int) -> bool:
         """Whether a system id is in the range of ground stations."""
+        if "SYSID_MYGCS" in self.params:
+            return system_id == int(self.params["SYSID_MYGCS"])
         low, high = int(self.params["MAV_GCS_SYSID"]), int(self.params["MAV_GCS_SYSID_HI"])
         return low <= system_id <= max(low, high)
 
     def heard_from(self, link: int, message: Message) -> bool:
-        """With MAV_OPTIONS bit 0, owners and the vehicle's own id only."""
-        if not int(self.params["MAV_OPTIONS"]) & 1:
+        """With MAV_OPTIONS bit 0 (SYSID_ENFORCE), owners and the vehicle's own id only."""
+        enforced = self.params["SYSID_ENFORCE" if "SYSID_ENFORCE" in self.params else "MAV_OPTIONS"]
+        if not int(enforced) & 1:
             return True
         system_id = message.get_srcSystem()
         return system_id == self.vehicle.config.system_id or self.is_owner(system_id)
@@ -200,10 +203,11 @@ class ArduCopter(Personality):
         )
 
     def version(self) -> Message:
-        """AUTOPILOT_VERSION of ArduCopter 4.7.0-dev."""
+        """AUTOPILOT_VERSION of ArduCopter 4.7.0-dev, or 4.6.3 where that was asked for."""
+        number = 0x040603FF if self.vehicle.config.firmware else 67567616
         uid = b"simulated-ac"
         return mavlink.MAVLink_autopilot_version_message(
-            64495, 67567616, 0, 0, 0, list(b"simulatd"), [0] * 8, [0] * 8, 0, 0, 0, list(uid.ljust(18, b"\0"))
+            64495, number, 0, 0, 0, list(b"simulatd"), [0] * 8, [0] * 8, 0, 0, 0, list(uid.ljust(18, b"\0"))
         )
 
     @property

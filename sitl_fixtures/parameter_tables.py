@@ -201,3 +201,9 @@ PX4: list[Row] = [
     ("SYS_AUTOSTART", 10040, INT32),
     ("SYS_HAS_GPS", 1, INT32),
 ]
+
+# ArduCopter 4.6 and older: one ground station's id and no range, under other names.
+_OLD_NAMES = {"MAV_GCS_SYSID": "SYSID_MYGCS", "MAV_OPTIONS": "SYSID_ENFORCE", "MAV_SYSID": "SYSID_THISMAV"}
+ARDUPILOT_4_6: list[Row] = [
+    (_OLD_NAMES.get(name, name), value, kind) for name, value, kind in ARDUPILOT if name != "MAV_GCS_SYSID_HI"
+]

@@ -21,6 +21,7 @@ from sitl_fixtures.estimator import Estimator
 from sitl_fixtures.faults import FaultSet
 from sitl_fixtures.missions import Missions
 from sitl_fixtures.operator_control import OperatorControl
+from sitl_fixtures.parameter_tables import ARDUPILOT_4_6
 from sitl_fixtures.parameters import Parameter, ParameterSet
 from sitl_fixtures.personality import Command, Personality
 from sitl_fixtures.physics import GRAVITY_M_S2, PointMass
@@ -57,6 +58,7 @@ class SimulatorConfig:
         max_speed_m_s: sets the drag so that level flight tops out there; None: the default drag.
         tilt_deg: largest lean; None: by the parameters.
         wind_n_m_s, wind_e_m_s: wind, the velocity of the air.
+        firmware: ``4.6``: ArduCopter's older names for whom it hears, and no range of them; empty: the newest.
         speaks_operator_control: CONTROL_STATUS and command 32100, which no stock autopilot has.
         setpoint_log: how many obeyed set-points to keep for inspection.
     """
@@ -75,12 +77,15 @@ class SimulatorConfig:
     tilt_deg: float | None = None
     wind_n_m_s: float = 0.0
     wind_e_m_s: float = 0.0
+    firmware: str = ""
     speaks_operator_control: bool = False
     setpoint_log: int = 200_000
 
     def __post_init__(self) -> None:
         if self.autopilot not in PERSONALITIES:
             raise ConfigurationError("--autopilot", self.autopilot, "px4 or ardupilot", "choose one of them")
+        if self.firmware and (self.autopilot, self.firmware) != ("ardupilot", "4.6"):
+            raise ConfigurationError("--firmware", self.firmware, "4.6, with --autopilot ardupilot", "leave it out")
         if self.home is not None:
             lat, lon, alt = self.home
             if not (-89.0 <= lat <= 89.0 and -180.0 <= lon <= 180.0 and -500.0 <= alt <= 9000.0):
@@ -130,7 +135,8 @@ class SimulatedAutopilot:
         self._packer = Packer(config.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         self.home_place = config.home or DEFAULT_HOMES[config.autopilot]
         kind = PERSONALITIES[config.autopilot]
-        self.parameters = ParameterSet(kind.PARAMETERS, bitwise=kind.BITWISE_PARAMETERS)
+        table = ARDUPILOT_4_6 if config.firmware else kind.PARAMETERS
+        self.parameters = ParameterSet(table, bitwise=kind.BITWISE_PARAMETERS)
         self.parameters.put("SIM_SPEEDUP", config.speedup)
         for text in config.parameters:
             self.parameters.override(text)

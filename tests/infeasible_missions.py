@@ -67,7 +67,7 @@ INFEASIBLE: list[tuple[str, Document, str, tuple[str, ...]]] = [
         "lens too small for the margin",
         local(stations__1__east_m=1970.0, destination__east_m=1970.0, options__range_margin_m=25.0),
         "broken_chain",
-        ("margin of 25 m", "lower range_margin_m to"),
+        ("margin of 25 m", "ower range_margin_m to"),
     ),
     (
         "start below the band",
@@ -97,7 +97,7 @@ INFEASIBLE: list[tuple[str, Document, str, tuple[str, ...]]] = [
         "too few handovers",
         local(options__max_handovers=0),
         "limits",
-        ("1 handovers",),
+        ("1 handover",),
     ),
     (
         # 1500 m at 50 m/s and 5 m/s^2 takes at least 1500/50 + 50/5 = 40 s
@@ -111,6 +111,12 @@ INFEASIBLE: list[tuple[str, Document, str, tuple[str, ...]]] = [
         local(options__arrival_s=30.0),
         "arrival",
         ("30 s",),
+    ),
+    (
+        "arrival later than the endurance",
+        local(limits__endurance_s=100.0, limits__reserve_s=40.0, options__arrival_s=70.0),
+        "endurance",
+        ("70 s", "60 s"),
     ),
     (
         "wind stronger than the vehicle",

@@ -109,6 +109,12 @@ MALFORMED: list[tuple[str, Document | bytes | Any, str]] = [
     ("half a wind", _with("limits.wind", {"east_m_s": 3.0}), "limits.wind.north_m_s"),
     ("reserve without endurance", _with("limits.reserve_s", 60.0), "limits.reserve_s"),
     ("start state of two numbers", _with("options.start_state", {"velocity_m_s": [1.0, 2.0]}), "start_state"),
+    ("start state of four numbers", _with("options.start_state", {"velocity_m_s": [1, 2, 3, 4]}), "velocity_m_s"),
+    ("start state with text", _with("options.start_state", {"velocity_m_s": [1, "2", 3]}), "velocity_m_s.north"),
+    ("reserve above endurance", _with("limits.reserve_s", 90.0, _with("limits.endurance_s", 80.0)), "limits.reserve_s"),
+    ("objective true", _with("options.objective", True), "options.objective"),
+    ("half a handover", _with("options.max_handovers", 1.5), "options.max_handovers"),
+    ("arrival by the clock", _with("options.arrival_s", "10:00"), "options.arrival_s"),
     # not finite
     ("nan", _with("stations.0.range_m", math.nan), "stations[0].range_m"),
     ("infinity", _with("limits.max_speed_m_s", math.inf), "limits.max_speed_m_s"),
@@ -128,6 +134,12 @@ MALFORMED: list[tuple[str, Document | bytes | Any, str]] = [
     ("duplicate safe point", _with("safe_points", [GOOD["safe_points"][0]] * 2), "safe_points[1].id"),
     ("unknown excluded station", _with("options.excluded_stations", ["txel"]), "options.excluded_stations[0]"),
     ("all excluded", _with("options.excluded_stations", ["den-helder", "texel"]), "options.excluded_stations"),
+    ("ids that differ in letter case", _with("stations.1.id", "Den-Helder"), "stations[1].id"),
+    (
+        "ids that differ in a blank",
+        _with("stations.1.id", "denhelder", _with("stations.0.id", "den helder")),
+        "stations[1].id",
+    ),
     # system ids
     ("system id 0", _with("stations.0.system_id", 0), "stations[0].system_id"),
     ("system id 255", _with("stations.0.system_id", 255), "stations[0].system_id"),
@@ -162,7 +174,12 @@ MALFORMED: list[tuple[str, Document | bytes | Any, str]] = [
     ("geographic station with an origin", _with("stations.1", GOOD["stations"][1], GOOD_LOCAL), "stations[1]"),
     ("half an origin", _with("origin.lon_deg", _DROP, GOOD_LOCAL), "origin.lon_deg"),
     ("a station on the other side of the earth", _with("stations.1.lon_deg", -170.0), "stations[1]"),
+    ("latitude and longitude swapped", _with("start", {"lat_deg": 4.8, "lon_deg": 52.9, "alt_amsl_m": 100.0}), "start"),
+    ("altitude in feet", _with("start", {"lat_deg": 52.9, "lon_deg": 4.8, "alt_ft": 300}), "start.alt_ft"),
     ("a start of letters", _with("start", {"lat_deg": "N52", "lon_deg": "E4", "alt_amsl_m": "high"}), "start.lat_deg"),
+    # other documents
+    ("a plan", {"plan_sha256": "0", "mission": GOOD, "segments": []}, "mission"),
+    ("GeoJSON", {"type": "FeatureCollection", "features": []}, "mission"),
     # not JSON
     ("not an object", b"[1, 2, 3]", "mission"),
     ("null", b"null", "mission"),

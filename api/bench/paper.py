@@ -206,22 +206,32 @@ def _allocation(problem: Problem, method: str, time_limit_s: float) -> dict[str,
         "mission_time_s": solution.trajectory.duration_s,
         "cpu_s": time.process_time() - started,
         "evaluations": solution.iterations,
-        "convergence": [[round(entry.elapsed_s, 4), round(entry.mission_time_s, 4)] for entry in record],
-        "curve": _curve(solution.trajectory),
+        "convergence": thinned([[round(entry.elapsed_s, 4), round(entry.mission_time_s, 4)] for entry in record]),
+        # Seldom less than a second a piece: centimetres draw an acceleration well.
+        "curve": _curve(solution.trajectory, decimals=2),
     }
 
 
-def _curve(trajectory: Trajectory) -> dict[str, Any]:
-    """A trajectory for drawing: centimetres and milliseconds."""
+def thinned(convergence: list[list[float]], gain_s: float = 0.01) -> list[list[float]]:
+    """Points (elapsed, mission time) that gain at least ``gain_s`` over the one kept before, and the last."""
+    kept = convergence[:1]
+    for point in convergence[1:]:
+        if kept[-1][1] - point[1] >= gain_s or point is convergence[-1]:
+            kept.append(point)
+    return kept
+
+
+def _curve(trajectory: Trajectory, decimals: int = 5) -> dict[str, Any]:
+    """A trajectory for drawing, its numbers rounded."""
     return {
-        "control_points_m": np.round(trajectory.control_points_m, 2).tolist(),
-        "durations_s": np.round(trajectory.durations_s, 3).tolist(),
+        "control_points_m": np.round(trajectory.control_points_m, decimals).tolist(),
+        "durations_s": np.round(trajectory.durations_s, max(3, decimals)).tolist(),
         "stations": trajectory.station_index.tolist(),
     }
 
 
 def curve_of(document: dict[str, Any]) -> Trajectory:
-    """The trajectory of a kept curve, to the centimetre."""
+    """The trajectory of a kept curve, as it was rounded."""
     return Trajectory(
         np.array(document["control_points_m"]),
         np.array(document["durations_s"]),

@@ -47,6 +47,14 @@ class Results:
         mine = (r for r in self._found.values() if (r["unit"], r["mission"]) == (unit, mission))
         return [(record["settings"], record["measured"]) for record in mine]
 
+    def machines(self) -> list[dict[str, Any]]:
+        """The different machines that what is kept was measured on, where a record says."""
+        found: list[dict[str, Any]] = []
+        for record in self._found.values():
+            if "machine" in record and record["machine"] not in found:
+                found.append(record["machine"])
+        return found
+
     def add(
         self,
         unit: str,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from api.cli import console
+from api.cli import console, files
 from api.cli.bench_tables import columns
 from api.cli.errors import BadInputError, FaultError
 
@@ -35,6 +35,8 @@ def run_paper(
 ) -> None:
     """Measure what is missing, print the tables, draw the figures. ``guarded`` turns planners' errors into blocks."""
     from api.bench import paper
+    from api.bench.paper_page import page
+    from api.bench.planner import warm_up
     from api.bench.results import Results, ResultsError
 
     if not paper.nlopt_available():
@@ -47,6 +49,8 @@ def run_paper(
     folder = None if figures_directory is None else _folder(figures_directory)
     try:
         results = Results(None if results_file is None else Path(results_file))
+        # The reference in cvxpy has no part in this.
+        warm_up(reference=False)
         with console.Progress(every_s=0.0) as progress:
             if results_file is not None and len(results):
                 progress.note(f"{len(results)} measurements found in {results_file}")
@@ -59,16 +63,19 @@ def run_paper(
 
             rows = guarded(lambda: paper.run(cases, settings, results, again=again, tell=tell))
             drawn = [] if folder is None else _draw(cases, rows, folder, tell)
+            machines = results.machines()
     except ResultsError as error:
         raise BadInputError("the results file cannot be used", {"where": "--results", "what": str(error)}) from None
     document = {
-        "machine": paper.machine(),
+        "machines": machines,
         "settings": {"time_limit_s": settings.time_limit_s, "rival_limit_s": settings.rival_limit_s},
         "table_3": paper.table_3(rows),
         "table_4": paper.table_4(rows),
         "summary": paper.summary(rows),
         "figures": drawn,
     }
+    if folder is not None:
+        files.write_text(page(document), str(folder / "tables.md"))
     if as_json:
         typer.echo(json.dumps(document, indent=1, allow_nan=False))
     else:

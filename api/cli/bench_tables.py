@@ -171,7 +171,7 @@ def _costs(rows: Sequence[dict[str, Any]]) -> Table:
             row["option"],
             str(row["missions"]),
             "refused" if row["refused"] else str(row["infeasible"]),
-            _pair(row["cost_s"], ".1f", " s"),
+            _pair(row["cost_s"], "z.1f", " s"),
             _pair(row["solve_s"], ".2f", " s"),
         )
     return table

@@ -1,4 +1,7 @@
-"""``skyrelay doctor``: is this machine fit to plan, serve and fly? Ports, clock, dialect, store, optional parts."""
+"""``skyrelay doctor``: is this machine fit to plan, serve and fly? Ports, clock, dialect, store, optional parts.
+
+With ``--vehicle``: is a vehicle fit to fly? See `api.cli.doctor_vehicle`.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _OPTIONAL = {
     "cvxpy": "skyrelay bench planner: the paper's method beside ours",
     "nlopt": "skyrelay bench planner: the paper's rivals",
     "matplotlib": "figures",
-    "mavsdk": "an independent MAVLink client",
+    "mavsdk": "skyrelay doctor --vehicle: an independent MAVLink client",
 }
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
 _MIN_FREE_BYTES = 500 * 1024 * 1024
@@ -52,12 +55,29 @@ def register(app: typer.Typer, panel: str) -> None:
 
 
 def doctor(
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="Look at a vehicle instead: who it is, and whether its parameters are fit for a flight. "
+            "udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD; needs MAVSDK.",
+        ),
+    ] = None,
+    system_id: Annotated[
+        int, typer.Option(min=1, max=254, help="Ask the vehicle as this station (one that it hears).")
+    ] = 245,
+    timeout: Annotated[float, typer.Option(min=1.0, max=600.0, help="Seconds to wait for the vehicle.")] = 15.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> int:
-    """Check this machine: ports, clock, MAVLink dialect, store, optional parts.
+    """Check this machine: ports, clock, MAVLink dialect, store, optional parts. Or a vehicle, before a flight.
 
-    Ends with 0 unless something [bold]must[/bold] be mended before skyrelay can work (then 1).
+    Ends with 0 unless something [bold]must[/bold] be mended before skyrelay can work (then 1). With --vehicle: 0 when
+    it is fit for a flight, 4 when a preflight would refuse it, 2 when the link cannot be used or nobody answers.
     """
+    if vehicle is not None:
+        from api.cli.doctor_vehicle import examine as examine_vehicle
+
+        return examine_vehicle(vehicle, system_id=system_id, timeout_s=timeout, as_json=as_json)
     findings = list(examine())
     if as_json:
         typer.echo(json.dumps({"findings": [asdict(f) for f in findings]}, indent=2))

@@ -23,6 +23,7 @@ EXIT_CONTINGENCY = 4
 EXIT_INTERRUPTED = 130
 
 _LABEL_WIDTH = 9
+_LONGEST_VALUE = 200
 
 
 class CommandError(Exception):
@@ -96,6 +97,16 @@ def text_of(value: Any) -> str:
 def faults_as_paragraphs(faults: Iterable[Any]) -> list[dict[str, Any]]:
     """``Fault(where, what, value, allowed, fix)`` objects of ``gcs.errors`` as paragraphs of a block."""
     return [
-        {"where": f.where, "what": f.what, "value": text_of(f.value), "allowed": f.allowed, "fix": f.fix}
+        {
+            "where": f.where,
+            "what": f.what,
+            "value": None if f.value is None else _shortened(text_of(f.value)),
+            "allowed": f.allowed,
+            "fix": f.fix,
+        }
         for f in faults
     ]
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."

@@ -78,12 +78,18 @@ class FlightView:
     def _line(self, kind: str, state: str, data: Any) -> str | None:
         if kind == "state":
             self.reason = str(data.get("reason") or "")
+            if data["to"] == "preflight":
+                self.failed_checks.clear()
+            if data["to"] == "refused" and self.failed_checks:
+                # Every one of them has its own line, and they are told again at the end.
+                return "refused: the preflight failed"
             return f"{data['to']} ({self.reason})" if self.reason else str(data["to"])
         if kind == "check" and data["level"] != "pass":
             required = f"; required: {data['required']}" if data.get("required") else ""
-            if data["level"] == "failure":
+            if data["level"] != "warning":
                 self.failed_checks.append(dict(data))
-            return f"preflight {data['level']}: {data['name']}: {data['message']}{required}"
+            fix = f"; {data['fix']}" if data.get("fix") else ""
+            return f"preflight {data['level']}: {data['name']}: {data['message']}{required}{fix}"
         if kind == "handover" and data["state"] in _WORTH_TELLING:
             reason = f" ({data['reason']})" if data.get("reason") and data["state"] != "released" else ""
             return f"handover {data['index']}, {data['from']} to {data['to']}: {_DONE[data['state']]}{reason}"

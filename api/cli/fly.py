@@ -55,9 +55,19 @@ def fly(
         typer.Option(help="Whether unsafe failsafe parameters are set on the vehicle; auto: on our simulator alone."),
     ] = "auto",
     handover_way: Annotated[
-        Literal["auto", "gate", "range", "operator_control"],
-        typer.Option(help="How the vehicle is told of a handover."),
+        Literal["auto", "gate", "range", "parameter", "operator_control"],
+        typer.Option(
+            help="How the vehicle is told of a handover; parameter: ArduPilot hears one station at a time and is told "
+            "of each (before 4.7 the only way with several)."
+        ),
     ] = "auto",
+    rally: Annotated[
+        bool,
+        typer.Option("--rally/--no-rally", help="Upload the mission's safe points as rally points for the flight."),
+    ] = True,
+    fence: Annotated[
+        bool, typer.Option("--fence", help="Lay a fence around the plan and every straight way home, for the flight.")
+    ] = False,
     signing_key: Annotated[
         str | None, typer.Option(metavar="file:PATH|env:NAME", help="Sign every frame with this 32-byte key.")
     ] = None,
@@ -83,6 +93,8 @@ def fly(
         log_path=log,
         set_parameters=set_parameters,
         handover_way=handover_way,
+        rally=rally,
+        fence=fence,
         signing_key=signing_key,
         allow_unsigned=allow_unsigned,
     )
@@ -233,7 +245,6 @@ def conclude(
 ) -> None:
     """Print the report; raises `ContingencyError` or `FaultError` where the flight did not end as planned."""
     from api.cli.flight_view import result_lines
-    from api.cli.simulator import home_under
 
     if result.exit_code == 1:
         raise FaultError("the flight ended by a fault of ours", {"what": result.reason})
@@ -248,7 +259,7 @@ def conclude(
             "what": check["message"],
             "value": check.get("value"),
             "allowed": check.get("required"),
-            "fix": f"a simulator is put there with --home {home_under(plan)}" if check["name"] == "transit" else None,
+            "fix": _fix(plan, check),
         }
         for check in view.failed_checks
     ]
@@ -257,3 +268,14 @@ def conclude(
             "the flight was refused before take-off", *(paragraphs or [{"what": view.reason or result.reason}])
         )
     raise ContingencyError(f"the flight ended in {result.state}", {"what": view.reason, "report": report})
+
+
+def _fix(plan: Plan, check: Mapping[str, Any]) -> str | None:
+    """What to do about a finding of the preflight, in terms of the command line."""
+    from api.cli.simulator import home_under
+
+    if check["name"] == "transit":
+        return f"{check.get('fix')}; a simulator is put there with --home {home_under(plan)}"
+    if check.get("set"):
+        return f"{check.get('fix')}, or let `fly` do it with --set-parameters yes"
+    return check.get("fix")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from api.bench import planner as bench
+from gcs.errors import PlanningFailed
 from tests.api.conftest import Outcome
 from tests.malformed_missions import GOOD_LOCAL
 
@@ -113,6 +115,31 @@ def test_options_are_the_papers_the_missions_or_the_defaults(cli: Cli, tmp_path:
     assert "0 of 1" in table.out
 
 
+def test_without_the_reference_only_ours_can_be_measured(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    monkeypatch.setattr(bench, "reference_available", lambda: False)
+    (tmp_path / "two.json").write_text(json.dumps(GOOD_LOCAL))
+    refused = cli("bench", "planner", "--missions", tmp_path)
+    assert (refused.code, refused.out) == (2, "")
+    assert "skyrelay[bench]" in refused.err
+    assert cli("bench", "planner", "--missions", tmp_path, "--ours-only").code == 0
+
+
+def test_a_mission_that_should_have_a_plan_and_has_none_ends_with_1(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def give_up(mission: object, **options: object) -> None:
+        raise PlanningFailed("every planning method gave up")
+
+    (tmp_path / "two.json").write_text(json.dumps(GOOD_LOCAL))
+    monkeypatch.setattr(bench, "plan_mission", give_up)
+    outcome = cli("bench", "planner", "--missions", tmp_path, "--ours-only")
+    assert outcome.code == 1
+    assert "FAILED: every planning method gave up" in outcome.out
+
+
 def test_long_chains_and_large_maps_are_measured(cli: Cli) -> None:
     outcome = cli("bench", "planner", "--segments", "12", "--routing", "200", "--seed", "3", "--json")
     assert outcome.code == 0, outcome.err
@@ -161,13 +188,3 @@ def test_the_quick_bench_prints_its_table(cli: Cli) -> None:
     assert outcome.code == 0
     for name in ("M30_01", "M100_01", "M300_01"):
         assert name in outcome.out
-
-
-def test_the_wire_layers_rates_come_beside_their_reference(cli: Cli) -> None:
-    outcome = cli("bench", "link", "--json")
-    assert (outcome.code, outcome.err) == (0, "")
-    reference, *others = json.loads(outcome.out)["rates"]
-    assert reference["per_reference"] == pytest.approx(1.0)
-    assert len(others) >= 5
-    for rate in others:
-        assert rate["per_reference"] == pytest.approx(reference["per_second"] / rate["per_second"])

@@ -116,6 +116,7 @@ def test_both_tables_come_with_this_planner_and_a_run_goes_on_where_it_was(
     assert units_told(cli(*run[:-2], "--rival-limit", "0.05", "--time-limit", "0.3").err) == []
 
 
+@pytest.mark.slow
 def test_the_figures_are_drawn(cli: Cli, folder: Path, tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
     other = {
@@ -126,7 +127,10 @@ def test_the_figures_are_drawn(cli: Cli, folder: Path, tmp_path: Path) -> None:
     places = tmp_path / "new" / "figures"
     outcome = cli("bench", "planner", "--paper", "--missions", folder, "--figures", places, *LIMITS)
     assert outcome.code == 0, outcome.err
-    drawn = sorted(path.name for path in places.iterdir())
+    page = (places / "tables.md").read_text()
+    assert "| two | 2 | 36 |" in page
+    assert page.count("| three |") == 2
+    drawn = sorted(path.name for path in places.glob("*.png"))
     assert [name[:2] for name in drawn] == ["09", "10", "11", "12", "13", "14"]
     for name in drawn:
         assert name in outcome.out
@@ -215,6 +219,12 @@ def test_ranks_and_gaps_are_hand_worked() -> None:
     # A duration a segment; six control points of three coordinates a segment.
     assert table["variables"] == {"T": 3, "P": 54}
     assert paper.table_3([row])[0]["sequences"] == {"em": 3, "em_pruned": 2, "dc": 1}
+
+
+def test_convergence_keeps_what_gains_and_the_end() -> None:
+    points = [[0.0, 9.0], [0.1, 5.0], [0.2, 4.999], [0.3, 4.98], [0.4, 4.98], [0.5, 4.98]]
+    assert paper.thinned(points) == [[0.0, 9.0], [0.1, 5.0], [0.3, 4.98], [0.5, 4.98]]
+    assert paper.thinned(points[:1]) == points[:1]
 
 
 def test_a_case_is_measured_once_whatever_its_file_is_called() -> None:

@@ -132,6 +132,41 @@ def test_the_weight_of_energy(objective: str | float, weight: float) -> None:
     assert options.energy_weight == weight
 
 
+@pytest.mark.parametrize("document", [case[1] for case in MALFORMED], ids=[case[0] for case in MALFORMED])
+def test_every_fault_says_what_is_allowed_and_what_to_do(document: Any) -> None:
+    raw = document if isinstance(document, bytes) else json.dumps(document).encode()
+    with pytest.raises(MissionError) as caught:
+        parse_mission_json(raw)
+    for fault in caught.value.problems:
+        assert fault.where, fault
+        assert fault.what, fault
+        assert fault.fix, fault
+        assert fault.allowed or fault.where in ("limits.wind", "limits.reserve_s"), fault
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "fix"),
+    [
+        (("stations", 1, "lon_deg"), 184.8, "write -175.2"),
+        (("stations", 0, "range_m"), "16000.0", "write 16000 without quotes"),
+        (("stations", 0, "range_m"), "16 km", "give a plain number, in m, without quotes"),
+        (("start",), {"lat_deg": 4.8, "lon_deg": 52.9, "alt_amsl_m": 100.0}, "swap lat_deg and lon_deg"),
+        (("stations", 1), {**GOOD["stations"][1], "lat_deg": 4.8, "lon_deg": 53.1}, "swap lat_deg and lon_deg"),
+        (("start",), {"lat_deg": 52.9, "lon_deg": 4.8, "alt_ft": 300}, "did you mean alt_amsl_m?"),
+        (("options", "excluded_stations"), ["txel"], "did you mean texel?"),
+    ],
+)
+def test_the_fault_says_what_is_likely_meant(path: tuple[Any, ...], value: object, fix: str) -> None:
+    document = copy.deepcopy(GOOD)
+    place: Any = document
+    for part in path[:-1]:
+        place = place[part]
+    place[path[-1]] = value
+    with pytest.raises(MissionError) as caught:
+        Mission.from_document(document)
+    assert caught.value.problems[0].fix == fix
+
+
 # --- system ids ------------------------------------------------------------------------------------------------
 
 

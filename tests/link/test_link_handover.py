@@ -142,6 +142,24 @@ def test_without_evidence_the_old_station_goes_on_and_it_is_tried_again() -> Non
     assert bench.relay.leg == 1
 
 
+def test_a_station_that_is_proved_and_never_obeyed_does_not_let_the_flight_out_of_its_coverage() -> None:
+    bench = Bench()
+    bench.obeys.discard("s2")
+    bench.tick(FIRST.time_s - 1.0)
+    assert bench.relay.limits(backwards=False) == (-math.inf, math.inf)  # ready, not tried yet
+    highs = set()
+    for _ in range(200):
+        bench.tick(FIRST.time_s + 0.02)
+        if bench.said(event="timeout"):
+            highs.add(bench.relay.limits(backwards=False)[1])
+    assert len(bench.said(event="request")) >= 4
+    assert list(highs) == [pytest.approx(FIRST.limit_s - 0.5)]
+    bench.obeys.add("s2")
+    for _ in range(40):
+        bench.tick()
+    assert bench.relay.leg == 1
+
+
 def test_a_station_that_is_not_proved_is_late_and_stops_the_flight_before_the_end_of_coverage() -> None:
     bench = Bench()
     bench.up["s2"] = False

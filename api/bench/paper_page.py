@@ -1,0 +1,110 @@
+"""The paper's tables as a page of Markdown, beside the figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from api.bench.paper import ALLOCATIONS
+
+
+def page(document: dict[str, Any]) -> str:
+    """The page of the document that ``skyrelay bench planner --paper`` prints as JSON."""
+    settings = document["settings"]
+    limits = f"--time-limit {settings['time_limit_s']:g} --rival-limit {settings['rival_limit_s']:g}"
+    lines = [
+        "# Tables 3 and 4",
+        "",
+        "Written by the command below; [what they mean](../paper-experiments.md).",
+        "",
+        f"    skyrelay bench planner --paper {limits} --results FILE --figures DIR",
+        "",
+        *(f"Measured on: {_machine(machine)}." for machine in document["machines"]),
+        "",
+        "## Mean gap to the lower bound in %",
+        "",
+        *_summary(document["summary"]),
+        "",
+        "## Table 3: enumeration (EM) and decoupling (DC)",
+        "",
+        "Sequences EM planned, and branches it passed over; +: it was cut short. Mission and processor times in s.",
+        "",
+        *_table_3(document["table_3"]),
+        "",
+        "## Table 4: mission time in s along Dijkstra's sequence",
+        "",
+        "T, P: unknowns. In bold: the best of the paper's eight methods. Last: this planner, on its own sequence.",
+        "",
+        *_table_4(document["table_4"]),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _machine(machine: dict[str, Any]) -> str:
+    return (
+        f"{machine['processor'] or machine['architecture']}, {machine['cores']} cores, Python {machine['python']}, "
+        f"numpy {machine['numpy']}, skyrelay {machine['skyrelay']}"
+    )
+
+
+def _summary(rows: Sequence[dict[str, Any]]) -> list[str]:
+    names = list(rows[0]["gap_percent"]) if rows else []
+    body = [
+        [str(row["stations"]), str(row["missions"]), *(f"{row['gap_percent'][name]['mean']:.1f}" for name in names)]
+        for row in rows
+    ]
+    return _table(["stations", "missions", *names], body)
+
+
+def _table_3(rows: Sequence[dict[str, Any]]) -> list[str]:
+    titles = [
+        "mission",
+        "planned",
+        "passed over",
+        "bound",
+        "EM",
+        "DC",
+        "ours",
+        "rank of DC",
+        "EM in",
+        "DC in",
+        "ours in",
+    ]
+    body = []
+    for row in rows:
+        times, seconds = row["mission_time_s"], row["cpu_s"]
+        more = "" if row["complete"] else "+"
+        body.append(
+            [
+                row["name"],
+                f"{row['sequences']['em']}{more}",
+                str(row["sequences"]["em_pruned"]),
+                f"{row['lower_bound_s']:.2f}",
+                f"{times['em']:.2f}",
+                f"{times['dc']:.2f}",
+                f"**{times['ours']:.2f}**",
+                f"{row['rank_dc']}{more}",
+                f"{seconds['em']:.1f}",
+                f"{seconds['dc']:.2f}",
+                f"{seconds['ours']:.2f}",
+            ]
+        )
+    return _table(titles, body)
+
+
+def _table_4(rows: Sequence[dict[str, Any]]) -> list[str]:
+    body = []
+    for row in rows:
+        times = row["mission_time_s"]
+        best = min(times[name] for name in ALLOCATIONS)
+        shown = [f"**{times[name]:.2f}**" if times[name] == best else f"{times[name]:.2f}" for name in ALLOCATIONS]
+        body.append(
+            [row["name"], str(row["variables"]["T"]), str(row["variables"]["P"]), *shown, f"{times['ours']:.2f}"]
+        )
+    return _table(["mission", "T", "P", *ALLOCATIONS, "ours"], body)
+
+
+def _table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    lines = [titles, ["---", *["---:"] * (len(titles) - 1)], *rows]
+    return [f"| {' | '.join(line)} |" for line in lines]
