@@ -69,7 +69,8 @@ class Lateness:
             scheduling,
             len(times),
             missed(times, rate_hz),
-            *(round(float(np.quantile(late, q)), 3) for q in (0.5, 0.99)),
+            round(float(np.quantile(late, 0.5)), 3),
+            round(float(np.quantile(late, 0.99)), 3),
             round(float(late.max()), 3),
             round(float(np.diff(times).max()) * 1e3, 3),
         )
@@ -293,7 +294,8 @@ class _Measurement:
         times, ids = _within(self._tap.setpoints, from_s, to_s)
         moved = times[1:][np.diff(ids) != 0]
         gaps = [float(np.diff(times[abs(times - at) <= _AROUND_S]).max()) for at in moved]
-        around, elsewhere = [], []
+        around: list[float] = []
+        elsewhere: list[float] = []
         for heard_s, event in self._events:
             error = event.data.get("error_m")
             if event.kind.value == "progress" and from_s <= heard_s <= to_s and error is not None:
