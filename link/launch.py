@@ -96,7 +96,7 @@ class Launch:
         )
         if not heard:
             over = (
-                f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({c.request.links[first]})"
+                f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({c.request.shown(first)})"
             )
             raise Refused(
                 f"{over} in {c.request.connect_timeout_s:g} s: is the vehicle there, its id and the link right?"
