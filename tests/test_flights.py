@@ -113,7 +113,8 @@ def fly_past_a_dying_station(name: str, autopilot: str, handover: int, which: st
     """The old or the new station's link dies for good as a handover comes up: one in control, in coverage, to an end.
 
     The old one's: the new one takes over early, or at its time. The new one's: the flight stops, inside the coverage it
-    has where it can stop that fast (a second to notice, then v / 2a of the plan's time), waits, turns back, and lands where it began or at the plan's safe point.
+    has where it can stop that fast (a second to notice, then v / 2a of the plan's time), waits, turns back, and lands
+    where it began or at the plan's safe point.
     """
     plan = plan_of(name)
     planned = plan.handovers[handover - 1]
