@@ -267,7 +267,11 @@ NETWORK: dict[str, tuple[str, Impairment]] = {
 
 NETWORK_ROWS: tuple[Row, ...] = (
     both("net-loss-10", COMPLETED, "a lossy link is no dead link"),
-    both("net-loss-30", COMPLETED, "a lossy link is no dead link"),
+    both(
+        "net-loss-30",
+        (COMPLETED, REFUSED),
+        "in flight setpoints to spare; a failsafe that could not be read is refused",
+    ),
     both("net-loss-bursts", COMPLETED, "runs of 4 at 20 Hz are 0.2 s"),
     both("net-latency-100ms", COMPLETED, "late is along the path"),
     both("net-latency-200ms", COMPLETED, "late is along the path"),

@@ -470,3 +470,7 @@ def test_a_second_attempt_asks_anew_from_the_beginning() -> None:
     assert one.step() is HandoverState.REQUESTED
     assert one.c.gate.holder == "s1"
     assert asked(one)[0] == "s1"
+    one.answer(0, 32100, OLD)
+    assert one.step(after_s=0.05) is HandoverState.REQUESTED
+    assert one.c.gate.holder == "s2"
+    assert asked(one)[0] == "s2"

@@ -23,7 +23,17 @@ from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Wor
 from link.clock import FlightClock, PacedClock
 from link.errors import EndpointError, FlightRequestError
 from link.request import FlightRequest
-from link.streamer import EXIT_FAULT, EXIT_REFUSED_REQUEST, Recorder, Streamer, main, open_links, raise_priority
+from link.signing import SigningKey
+from link.streamer import (
+    EXIT_FAULT,
+    EXIT_REFUSED_REQUEST,
+    Recorder,
+    Streamer,
+    main,
+    make_codecs,
+    open_links,
+    raise_priority,
+)
 from link.tlog import read_tlog
 
 TICK_S = 0.02
@@ -554,6 +564,29 @@ def test_every_link_that_must_not_be_used_is_named(tmp_path: Path) -> None:
     for allowed in ({"signing_key": "env:RELAY"}, {"allow_unsigned": True}):
         for endpoint in open_links(FlightRequest(plan=plan, autopilot="px4", links=links, **allowed)).values():  # type: ignore[arg-type]
             endpoint.close()
+
+
+def test_keys_come_from_a_file_or_the_environment_whatever_the_file_is_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "key:of:the:relay"
+    path.touch(0o600)
+    path.write_bytes(bytes(range(1, 33)))
+    monkeypatch.setenv("RELAY", bytes(range(1, 33)).hex())
+    links = {s: f"udpout:127.0.0.1:{20000 + k}" for k, s in enumerate(dict.fromkeys(relay_plan(2).station_ids))}
+    run_dir = tmp_path / "run"
+    for key in (f"file:{path}", "env:RELAY"):
+        plan = relay_plan(2).to_document()
+        made = make_codecs(FlightRequest(plan=plan, autopilot="px4", links=links, signing_key=key), run_dir)
+        assert [codec.system_id for codec in made.values()] == [241, 242]
+        for codec in made.values():
+            assert codec.signing is not None
+            assert codec.signing.key == SigningKey(bytes(range(1, 33)))
+            assert codec.signing.link_id == codec.system_id
+            assert codec.signing.allow_unsigned == {109}
+            codec.signing.store.close()
+        # Without a folder of their own, stamps are kept with the flight.
+        assert sorted(p.name for p in run_dir.iterdir()) == ["station-241.stamps", "station-242.stamps"]
 
 
 # -- priority and the record ------------------------------------------------------------------------------------------
