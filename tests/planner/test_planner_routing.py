@@ -218,9 +218,8 @@ def test_routing_at_scale(count: int, overlap_s: float) -> None:
     routes = candidate_routes(problem, 9 if overlap_s else 1, bound=bound)
     routed = time.process_time()
     length = polyline_length_m(polyline_along(problem, routes[0].sequence)[0])
-    print(
-        f"{count} stations, {overlap_s:g} s: bound {bounded - began:.2f} s, {len(routes)} routes {routed - bounded:.2f} s"
-    )
+    times = f"bound {bounded - began:.2f} s, {len(routes)} routes {routed - bounded:.2f} s"
+    print(f"{count} stations, overlap {overlap_s:g} s: {times}")
     assert is_chain(problem, routes[0].sequence)
     assert bound.length_m * (1.0 - 1e-9) <= length <= bound.length_m * (1.001 if overlap_s == 0.0 else 1.1)
 
