@@ -63,13 +63,12 @@ class Cover:
             first, last = self._above_cone(float(slope[k]), offset[:, k], way)
             low[:, k], high[:, k] = np.maximum(low[:, k], first), np.minimum(high[:, k], last)
         # Sorted by their beginnings, the intervals join when none begins beyond what is reached so far.
-        order = np.argsort(low, axis=1)
-        low, high = np.take_along_axis(low, order, 1), np.take_along_axis(high, order, 1)
-        reached = np.zeros(len(begin))
-        for k in range(low.shape[1]):
-            joins = low[:, k] <= reached
-            reached = np.where(joins, np.maximum(reached, high[:, k]), reached)
-        return reached >= 1.0
+        met = (high >= low).any(axis=0)
+        order = np.argsort(low[:, met], axis=1)
+        low, high = np.take_along_axis(low[:, met], order, 1), np.take_along_axis(high[:, met], order, 1)
+        reached = np.maximum.accumulate(np.concatenate([np.zeros((len(begin), 1)), high], axis=1), axis=1)
+        apart = np.concatenate([low > reached[:, :-1], np.ones((len(begin), 1), dtype=bool)], axis=1)
+        return np.asarray(reached[np.arange(len(begin)), apart.argmax(axis=1)] >= 1.0)
 
     def _above_cone(self, slope: float, offset: Array, way: Array) -> tuple[Array, Array]:
         """The part of each way above a cone: height over it is concave, so all between two good samples is good."""

@@ -210,6 +210,8 @@ class _Remedy:
         limits = self.ground.mission.limits
         if fix["limit"] == "max_duration_s":
             return {"action": "raise_limit", "limit": "endurance_s", "to": to + (limits.reserve_s or 0.0) + 1e-6}
+        if fix["limit"] == "max_handovers":
+            return {"action": "raise_limit", "limit": "max_handovers", "to": int(to)}
         return {"action": "raise_limit", "limit": fix["limit"], "to": to}
 
 

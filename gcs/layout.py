@@ -116,8 +116,8 @@ def _no_airspeed(mission: Mission, standing_m_s: float) -> MissionInfeasible:
     wind = float(np.hypot(*limits.wind_m_s))
     return MissionInfeasible(
         "limits",
-        f"The wind of {wind:.1f} m/s is no slower than the airspeed limit of {limits.max_airspeed_m_s:g} m/s: the "
-        "vehicle cannot hold its place, nor start or end at rest.",
+        f"The wind of {wind:.1f} m/s leaves nothing of the airspeed limit of {limits.max_airspeed_m_s:g} m/s: "
+        "the vehicle cannot hold its place, nor start or end at rest.",
         fix={
             "action": "raise_limit",
             "limit": "max_airspeed_m_s",

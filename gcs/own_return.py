@@ -88,14 +88,14 @@ def own_returns(
     off_m = 0.5 * float(edges[1] - edges[0]) * ground.mission.limits.max_speed_m_s
     cover = Cover(ground, off_m)
     turn_s = 2.0 * rules.speed_m_s / ground.mission.limits.max_accel_m_s2
+    ways = [_ways(here, off_m, rules) for here in at]
+    legs = np.concatenate([way for of_cell in ways for _, way in of_cell])
+    first = np.cumsum([0] + [3 * len(of_cell) for of_cell in ways[:-1]])
+    covered = np.logical_and.reduceat(cover.holds(legs[:, :3], legs[:, 3:]), first)
     result = []
-    for k, here in enumerate(at):
-        ways = _ways(here, off_m, rules)
-        begin = np.concatenate([way for _, way in ways])[:, :3]
-        end = np.concatenate([way for _, way in ways])[:, 3:]
-        covered = bool(cover.holds(begin, end).all())
-        longest_s = max(_duration_s(way, off_m, rules) for _, way in ways) + turn_s
-        result.append(OwnReturn(float(edges[k]), float(edges[k + 1]), ways[0][0], covered, longest_s))
+    for k, of_cell in enumerate(ways):
+        longest_s = max(_duration_s(way, off_m, rules) for _, way in of_cell) + turn_s
+        result.append(OwnReturn(float(edges[k]), float(edges[k + 1]), of_cell[0][0], bool(covered[k]), longest_s))
     return tuple(_merged(result))
 
 

@@ -92,7 +92,11 @@ def solve(laid: LaidOut, planner: PlannerLike, method: Method, time_limit_s: flo
         raise _endurance_refused(mission, run, solution, allowed)
     if arrival is not None and duration > arrival:
         raise _arrival_refused(mission, run, solution, arrival)
-    return solution if arrival is None else _arriving(laid, run, solution, arrival)
+    if arrival is None:
+        return solution
+    # Durations add up with roundings, which an endurance of just that time would not bear.
+    latest = arrival if allowed is None else min(arrival, allowed * (1.0 - 1e-12))
+    return _arriving(laid, run, solution, max(latest, duration))
 
 
 def _allowed_s(mission: Mission) -> float | None:

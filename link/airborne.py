@@ -23,7 +23,7 @@ from link.relay import TAKEOVER_SHARE, Relay
 from link.replan import STANDING_M, NextPlan, time_and_leg
 from link.setpoints import SetpointStream
 from link.stream import Reference, StraightLine
-from link.watch import LagMonitor, Lead, UplinkMonitor
+from link.watch import LagMonitor, Lead, RangeWatch, UplinkMonitor
 from link.way_out import over_safe_point, way_out
 
 Vector = tuple[float, float, float]
@@ -60,6 +60,7 @@ class Airborne:
         self.lead = Lead(context)
         self.lag = LagMonitor(context, self.lead)
         self.uplink = UplinkMonitor(context)
+        self.range = RangeWatch(context)
         self.lapse = Lapse(context, self.relay, self.stream)
         self.attended = True
         until_s = context.request.authorised_until_s
@@ -130,6 +131,7 @@ class Airborne:
         self.lag.update()
         self.lead.update(dt_s)
         self.uplink.update()
+        self.range.update()
         if state is FlightState.LAPSED:
             self._lapsed()
             return
@@ -211,6 +213,8 @@ class Airborne:
             return self._lapse("the vehicle flies a target that is not ours", pin=True)
         if not self._in_the_air():
             return False
+        if self.range.left and not self.line:
+            self.relay.take_over(self.reference.time_s, f"the vehicle is out of range of {c.gate.holder}")
         age_s = self.uplink.age_s
         if age_s > TAKEOVER_SHARE * self._launch.loss_timeout_s and not self.line:
             self.relay.take_over(self.reference.time_s, f"link of {c.gate.holder} unproved for {age_s:.2f} s")
@@ -320,7 +324,8 @@ class Airborne:
         """To the place on the path where the plan to come begins at rest, and on by it."""
         assert self._upcoming is not None
         upcoming, join_s, leave_s = self._upcoming
-        self._along_plan(dt_s, 0.0, until_s=leave_s)
+        # Forward but a little, where the place was told a millimetre ahead of here; else back.
+        self._along_plan(dt_s, CREEP, until_s=leave_s)
         there = abs(self.reference.way_m(self.reference.time_s, leave_s)) < AT_PLACE_M
         if not there or not self.reference.stands or self.relay.moving:
             return

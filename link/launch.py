@@ -51,7 +51,8 @@ SIMULATOR_PARAMETER = "SIM_SPEEDUP"
 
 STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
     (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0),
-    (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 10.0),
+    # Not a divisor of any usual rate of setpoints: else it would always show the same of two that alternate.
+    (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 9.0),
     (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
 )
 """What the station in control asks the vehicle to send, and how often, in Hz."""
@@ -95,7 +96,7 @@ class Launch:
         )
         if not heard:
             over = (
-                f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({c.request.links[first]})"
+                f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({c.request.shown(first)})"
             )
             raise Refused(
                 f"{over} in {c.request.connect_timeout_s:g} s: is the vehicle there, its id and the link right?"

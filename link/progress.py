@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from gcs.flight import EventKind, FlightState
 from link.airborne import Airborne
 from link.context import FlightContext
@@ -88,12 +86,10 @@ class Announcer:
     def where(self) -> dict[str, Any]:
         """The flight now, as JSON."""
         c, air = self._c, self._air
-        position, tracking, here = c.monitor.position, air.lag.tracking, c.position_enu_m()
-        station = c.gate.holder
-        margin_m = None
-        if here is not None and station is not None:
-            index = np.array([c.plan.mission.station_index(station.rstrip("!"))])
-            margin_m = -float(c.plan.ground.outside_m(index, np.array([here]))[0])
+        position, tracking = c.monitor.position, air.lag.tracking
+        # On the ground nobody measures it by the tick.
+        air.range.update()
+        station, margin_m = c.gate.holder, air.range.margin_m
         return {
             "station": station,
             "plan_s": None if air.line else round(air.reference.time_s, 3),

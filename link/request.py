@@ -112,6 +112,10 @@ class FlightRequest:
             for station, urls in self.links.items()
         }
 
+    def shown(self, station_id: str) -> str:
+        """A station's URLs for people."""
+        return ", ".join(self.urls[station_id])
+
     @property
     def stations(self) -> tuple[str, ...]:
         """Stations with a link: the plan's in flight order, then those in reserve."""

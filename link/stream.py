@@ -151,6 +151,7 @@ class Reference:
         self.rate_change_per_s = 0.0
         self._braking = BRAKING_SHARE * accel_m_s2
         self._change = CHANGE_SHARE * accel_m_s2
+        self._accel = accel_m_s2
         times, speeds = _speeds(curve)
         self._times = times
         self._speeds = speeds
@@ -203,13 +204,34 @@ class Reference:
         if low_s > 0.0:
             target = max(target, -self._allowed(self.way_m(low_s, self.time_s), speed))
         before = self.rate
-        least, most = self._changes(before, speed, dt_s)
+        way_m = math.inf
+        if before > 0.0 and high_s < self.curve.duration_s:
+            way_m = self.way_m(self.time_s, high_s)
+        elif before < 0.0 and low_s > 0.0:
+            way_m = self.way_m(low_s, self.time_s)
+        least, most = self._changes(before, speed, dt_s, self._brake(before, speed, way_m))
         self.rate = before + max(least, min(most, target - before))
         moved = dt_s if self.rate == 1.0 == before else 0.5 * (before + self.rate) * dt_s
         self.rate_change_per_s = (self.rate - before) / dt_s if dt_s > 0.0 and math.isfinite(most) else 0.0
         self.time_s = max(0.0, min(self.curve.duration_s, self.time_s + moved))
 
-    def _changes(self, rate: float, speed_m_s: float, dt_s: float) -> tuple[float, float]:
+    def _brake(self, rate: float, speed_m_s: float, way_m: float) -> float:
+        """How hard to brake with so much way left to a limit: harder than usual where that would not do.
+
+        A station that dies just before its turn shuts the way at full speed. All that the curve's own bend leaves of
+        the acceleration limit is used then.
+        """
+        needed = (rate * speed_m_s) ** 2 / (2.0 * max(way_m, 1e-3)) if math.isfinite(way_m) else 0.0
+        if needed <= self._change:
+            return self._change
+        setpoint = self.curve.at(self.time_s)
+        acceleration = np.array(setpoint.acceleration_enu_m_s2)
+        along = np.array(setpoint.velocity_enu_m_s) / max(speed_m_s, 1e-6)
+        across = rate * rate * float(np.linalg.norm(acceleration - (acceleration @ along) * along))
+        spare = math.sqrt(max(0.0, self._accel**2 - across**2))
+        return max(self._change, min(1.05 * needed, spare))
+
+    def _changes(self, rate: float, speed_m_s: float, dt_s: float, brake_m_s2: float) -> tuple[float, float]:
         """Least and greatest change of the rate in ``dt_s``.
 
         The acceleration along the path is r' v + r^2 v'. It is kept within the share meant for changes, or left at
@@ -218,7 +240,8 @@ class Reference:
         if speed_m_s <= 1e-6:
             return -math.inf, math.inf
         own = rate * rate * float(np.interp(self.time_s, self._times, self._slopes))
-        least, most = min(0.0, -self._change - own), max(0.0, self._change - own)
+        down, up = (brake_m_s2, self._change) if rate >= 0.0 else (self._change, brake_m_s2)
+        least, most = min(0.0, -down - own), max(0.0, up - own)
         return least / speed_m_s * dt_s, most / speed_m_s * dt_s
 
     def _allowed(self, way_m: float, speed_m_s: float) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs.flight import FlightState
-from link.context import FlightContext
+from link.context import VEHICLE_STATION, FlightContext
 from link.setpoints import Setpoint
 
 LAG_START_M = 5.0
@@ -181,6 +181,36 @@ class Lead:
         """Latency that is not led."""
         latency_s = self._c.monitor.links[self._c.fence.station_id].latency_s
         return 0.0 if latency_s is None else max(0.0, latency_s - self.seconds)
+
+
+class RangeWatch:
+    """How much of the range of the station in control is left, by where the vehicle says it is, not by the plan."""
+
+    def __init__(self, context: FlightContext) -> None:
+        self._c = context
+        self._seen: tuple[float, str] | None = None
+        self.margin_m: float | None = None
+        """Range left, metres; negative outside. None while nothing is known."""
+        self.left = False
+        """Whether the vehicle is outside."""
+
+    def update(self) -> None:
+        """Measure the newest position; once a tick."""
+        c = self._c
+        position, holder = c.monitor.position, c.gate.holder
+        here = c.position_enu_m()
+        if position is None or holder is None or here is None:
+            return
+        station = holder.removesuffix(VEHICLE_STATION)
+        if self._seen == (position.boot_s, station):
+            return
+        self._seen = (position.boot_s, station)
+        index = np.array([c.plan.mission.station_index(station)])
+        self.margin_m = -float(c.plan.ground.outside_m(index, np.array([here]))[0])
+        # A metre of doubt, so that it is told once.
+        was, self.left = self.left, self.margin_m < (0.0 if not self.left else 1.0)
+        if self.left and not was:
+            c.alarm("the vehicle is out of range", station=station, outside_m=round(-self.margin_m, 1))
 
 
 class UplinkMonitor:

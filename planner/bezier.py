@@ -177,7 +177,7 @@ def only_roots(coefficients: Array, *, tolerance: float = 1e-12) -> Array:
         if settled.all():
             break
         u = np.where(settled, u, moved)
-    return u
+    return np.asarray(u)
 
 
 def _last_nonzero(points: Array) -> float:

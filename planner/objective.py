@@ -39,7 +39,8 @@ class Objective:
 
     def value(self, at: Point) -> float:
         """The objective."""
-        uneven = np.diff(at.durations / self.pace)
+        even = at.durations / self.pace
+        uneven = even[1:] - even[:-1]
         total = float(at.durations.sum()) + 0.5 * self.evenness * float(uneven @ uneven)
         if self.energy_weight:
             velocity, acceleration = self._densities(at)
@@ -48,7 +49,8 @@ class Objective:
 
     def durations_gradient(self, at: Point) -> Array:
         """Gradient by T ``(K,)``, rows held."""
-        uneven = np.diff(at.durations / self.pace)
+        even = at.durations / self.pace
+        uneven = even[1:] - even[:-1]
         weight = self.evenness / self.pace
         gradient = np.ones(len(self.pace))
         gradient[1:] += weight[1:] * uneven

@@ -39,19 +39,24 @@ def relay_document(
 
 
 def wide_document() -> dict[str, Any]:
-    """A row of four stations and ``beside``, near the second, so that there are two ways round; all with ids."""
+    """A row of four stations and ``beside``, near the second and left out at first: two ways round. All with ids."""
     document: dict[str, Any] = relay_document(4)
     document["stations"].append({"id": "beside", "east_m": 630.0, "north_m": 240.0, "up_m": 0.0, "range_m": 500.0})
     for k, station in enumerate(document["stations"]):
         station["system_id"] = 241 + k
+    document["options"] = {"excluded_stations": ["beside"]}
     document["safe_points"] = [{"id": "field", "east_m": 0.0, "north_m": 0.0, "up_m": 5.0}]
     return document
 
 
 @cache
 def wide_plan() -> Plan:
-    """The plan of `wide_document`, which leaves ``beside`` out."""
+    """The plan of `wide_document`."""
     return plan_mission(Mission.from_document(wide_document()), fast=True)
+
+
+FIRST_JOIN_S = 7.4
+"""On `wide_plan` surely before its first handover: s2 covers no sooner than 5 s, and half the overlap comes first."""
 
 
 @cache

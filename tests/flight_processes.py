@@ -62,6 +62,29 @@ def simulator(plan: Plan, autopilot: str, speedup: float, *arguments: str) -> It
         process.wait(20)
 
 
+@contextlib.contextmanager
+def bad_links(vehicle: Simulator, *arguments: str) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """A lossy proxy before each station's link (``arguments`` are its own), ended with the block; by station.
+
+    The simulator's ``links`` lead through the proxies inside the block.
+    """
+    direct, proxies = dict(vehicle.links), {}
+    ports = free_ports(len(direct))
+    try:
+        for seed, ((station, url), port) in enumerate(zip(direct.items(), ports, strict=True)):
+            command = [sys.executable, "-m", "sitl_fixtures.proxy", "--listen", f"udpin:127.0.0.1:{port}"]
+            command += ["--target", url, "--seed", str(seed), *arguments]
+            proxies[station] = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+            vehicle.links[station] = f"udpout:127.0.0.1:{port}"
+        yield proxies
+    finally:
+        vehicle.links.update(direct)
+        for proxy in proxies.values():
+            proxy.terminate()
+        for proxy in proxies.values():
+            proxy.wait(20)
+
+
 class Events:
     """Collects a flight's events; waits for one."""
 

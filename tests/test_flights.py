@@ -112,8 +112,9 @@ def test_bad_links_with_many_seeds(name: str, seeds: int, autopilot: str) -> Non
 def fly_past_a_dying_station(name: str, autopilot: str, handover: int, which: str) -> VirtualFlight:
     """The old or the new station's link dies for good as a handover comes up: one in control, in coverage, to an end.
 
-    The old one's: the new one takes over early, or at its time. The new one's: the flight waits inside the coverage it
-    has, then turns back, and lands where it began or at the plan's safe point.
+    The old one's: the new one takes over early, or at its time. The new one's: the flight stops, inside the coverage it
+    has where it can stop that fast (a second to notice, then v / 2a of the plan's time), waits, turns back, and lands
+    where it began or at the plan's safe point.
     """
     plan = plan_of(name)
     planned = plan.handovers[handover - 1]
@@ -133,7 +134,9 @@ def fly_past_a_dying_station(name: str, autopilot: str, handover: int, which: st
     else:
         assert end is FlightState.CONTINGENCY, flight.events[-5:]
         furthest = max(t.plan_s for t in flight.truth if t.plan_s is not None)
-        assert again or furthest < planned.overlap_end_s
+        limits = plan.mission.limits
+        stopped_s = begin_s + 1.2 + 1.1 * limits.max_speed_m_s / (2.0 * limits.max_accel_m_s2)
+        assert again or furthest < max(planned.overlap_end_s, stopped_s)
     return flight
 
 

@@ -124,6 +124,13 @@ def test_a_slowed_moving_start_waits_but_little() -> None:
     assert not all(still) or last["duration_s"] < 3.0
 
 
+@pytest.mark.parametrize("arrival_s", [100.0, 123.456, 133.3, 150.7])
+def test_an_arrival_at_the_very_end_of_the_endurance(arrival_s: float) -> None:
+    """Durations that add up to a rounding more would break the endurance."""
+    mission = changed(BASE, {"options.arrival_s": arrival_s, "limits.endurance_s": arrival_s})
+    assert check_plan(planned(mission), mission) == []
+
+
 # --- what the options cost --------------------------------------------------------------------------------------------
 
 

@@ -81,11 +81,11 @@ def enumerated(rows: Sequence[dict[str, Any]]) -> Any:
         lower = figure.add_subplot(2, len(groups), len(groups) + place + 1)
         at = np.arange(1, len(mine) + 1)
         for x, row in zip(at, mine, strict=True):
-            found = row["enumeration"]["found_s"]
+            found = row["enumeration"]["found_s"] if row["enumeration"] else []
             upper.scatter([x] * len(found), found, s=14, facecolors="none", edgecolors="0.65", linewidths=0.7)
         kinds = (("EM", "o", "black", "enumeration, best"), ("DC", "^", "tab:orange", "decoupling"))
         for name, mark, colour, label in (*kinds, ("ours", "D", drawing.COLOURS["ours"], "this planner")):
-            times = [mission_times(row)[name] for row in mine]
+            times = [mission_times(row).get(name, np.nan) for row in mine]
             upper.scatter(at, times, s=34, marker=mark, color=colour, label=label, zorder=3)
             cpu = [_cpu_s(row, name) for row in mine]
             lower.semilogy(at, cpu, marker=mark, color=colour, linewidth=0.8)
@@ -235,5 +235,5 @@ def _columns(panels: Collection[Any]) -> int:
 
 def _cpu_s(row: dict[str, Any], name: str) -> float:
     if name == "EM":
-        return float(row["enumeration"]["cpu_s"])
+        return float(row["enumeration"]["cpu_s"]) if row["enumeration"] else np.nan
     return float(row["plans"]["ours" if name == "ours" else "decoupling"]["cpu_s"])

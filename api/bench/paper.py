@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from api.bench.cases import PAPER_OPTIONS, Case
+from api.bench.planner import mean_and_worst
 from api.bench.results import Results, fingerprint
 from gcs.mission import Mission
 from gcs.planning import lay_out, plan_mission, product_version
@@ -101,9 +102,13 @@ def run(
     results: Results,
     *,
     again: Sequence[str] = (),
+    kept_only: bool = False,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[dict[str, Any]]:
     """Measure what ``results`` lacks, and units named in ``again`` anew; a row of everything for each mission.
+
+    ``kept_only``: measure nothing but ``again``. Missions of which Table 4 is not complete are then left out, and
+    ``enumeration`` is None where there is none yet.
 
     Raises what `Mission.from_document` and the planners raise for a mission that cannot be used.
     """
@@ -114,10 +119,15 @@ def run(
         mission = Mission.from_document(case.document).with_options(PAPER_OPTIONS)
         problem = lay_out(mission).problem
         measured: dict[str, Any] = {"name": case.name, "stations": len(mission.stations), "allocations": {}}
+        measured["enumeration"] = None
+        lacking = set()
         for unit in units(settings):
             found = results.get(unit.name, key, unit.settings)
             if found is None and unit.name == "enumeration":
                 found = _finished(results, key)
+            if found is None and kept_only and unit.name not in again:
+                lacking.add(unit.name)
+                continue
             if found is None or unit.name in again:
                 tell(f"{number} of {len(cases)}: {case.name}, {unit.title}")
                 found = unit.measure(mission, problem)
@@ -126,7 +136,8 @@ def run(
                 measured["allocations"][unit.settings["method"]] = found
             else:
                 measured[unit.name] = found
-        rows.append(measured)
+        if lacking <= {"enumeration"}:
+            rows.append(measured)
     return rows
 
 
@@ -251,28 +262,31 @@ def _processor() -> str:
 
 
 def table_3(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of Table 3: decoupling against enumeration, and this planner."""
-    return [
-        {
-            "name": row["name"],
-            "stations": row["stations"],
-            "lower_bound_s": row["plans"]["lower_bound_s"],
-            "sequences": {"em": row["enumeration"]["planned"], "em_pruned": row["enumeration"]["pruned"], "dc": 1},
-            "mission_time_s": {
-                "em": row["enumeration"]["mission_time_s"],
-                "dc": row["plans"]["decoupling"]["mission_time_s"],
-                "ours": row["plans"]["ours"]["mission_time_s"],
-            },
-            "rank_dc": row["enumeration"]["rank_dc"],
-            "complete": row["enumeration"]["complete"],
-            "cpu_s": {
-                "em": row["enumeration"]["cpu_s"],
-                "dc": row["plans"]["decoupling"]["cpu_s"],
-                "ours": row["plans"]["ours"]["cpu_s"],
-            },
-        }
-        for row in rows
-    ]
+    """Rows of Table 3: decoupling against enumeration (None where it was not measured), and this planner."""
+    found = []
+    for row in rows:
+        plans, em = row["plans"], row["enumeration"] or {}
+        found.append(
+            {
+                "name": row["name"],
+                "stations": row["stations"],
+                "lower_bound_s": plans["lower_bound_s"],
+                "sequences": {"em": em.get("planned"), "em_pruned": em.get("pruned"), "dc": 1},
+                "mission_time_s": {
+                    "em": em.get("mission_time_s"),
+                    "dc": plans["decoupling"]["mission_time_s"],
+                    "ours": plans["ours"]["mission_time_s"],
+                },
+                "rank_dc": em.get("rank_dc"),
+                "complete": em.get("complete"),
+                "cpu_s": {
+                    "em": em.get("cpu_s"),
+                    "dc": plans["decoupling"]["cpu_s"],
+                    "ours": plans["ours"]["cpu_s"],
+                },
+            }
+        )
+    return found
 
 
 def table_4(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -301,26 +315,28 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     for count in sorted({row["stations"] for row in rows}):
         mine = [row for row in rows if row["stations"] == count]
 
-        def gap(name: str, mine: list[dict[str, Any]] = mine) -> dict[str, float]:
-            gaps = [100.0 * (mission_times(row)[name] / row["plans"]["lower_bound_s"] - 1.0) for row in mine]
-            return {"mean": float(np.mean(gaps)), "worst": float(np.max(gaps))}
+        def gap(name: str, mine: list[dict[str, Any]] = mine) -> dict[str, float] | None:
+            times = [(mission_times(row).get(name), row["plans"]["lower_bound_s"]) for row in mine]
+            return mean_and_worst([100.0 * (time / bound - 1.0) for time, bound in times if time is not None])
 
         found.append(
             {
                 "stations": count,
                 "missions": len(mine),
                 "gap_percent": {name: gap(name) for name in ("ours", "EM", "DC", *ALLOCATIONS)},
-                "complete_enumerations": sum(row["enumeration"]["complete"] for row in mine),
+                "complete_enumerations": sum(
+                    bool(row["enumeration"] and row["enumeration"]["complete"]) for row in mine
+                ),
             }
         )
     return found
 
 
 def mission_times(row: dict[str, Any]) -> dict[str, float]:
-    """Every method's mission time of one mission in seconds."""
-    return {
+    """Every method's mission time of one mission in seconds; without EM where that was not measured."""
+    times = {
         "ours": row["plans"]["ours"]["mission_time_s"],
-        "EM": row["enumeration"]["mission_time_s"],
         "DC": row["plans"]["decoupling"]["mission_time_s"],
         **{method: found["mission_time_s"] for method, found in row["allocations"].items()},
     }
+    return times if row["enumeration"] is None else {**times, "EM": row["enumeration"]["mission_time_s"]}

@@ -51,7 +51,7 @@ def _machine(machine: dict[str, Any]) -> str:
 def _summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     names = list(rows[0]["gap_percent"]) if rows else []
     body = [
-        [str(row["stations"]), str(row["missions"]), *(f"{row['gap_percent'][name]['mean']:.1f}" for name in names)]
+        [str(row["stations"]), str(row["missions"]), *(mean(row["gap_percent"][name]) for name in names)]
         for row in rows
     ]
     return _table(["stations", "missions", *names], body)
@@ -74,18 +74,18 @@ def _table_3(rows: Sequence[dict[str, Any]]) -> list[str]:
     body = []
     for row in rows:
         times, seconds = row["mission_time_s"], row["cpu_s"]
-        more = "" if row["complete"] else "+"
+        more = "+" if row["complete"] is False else ""
         body.append(
             [
                 row["name"],
-                f"{row['sequences']['em']}{more}",
-                str(row["sequences"]["em_pruned"]),
+                number(row["sequences"]["em"], "d", more),
+                number(row["sequences"]["em_pruned"], "d"),
                 f"{row['lower_bound_s']:.2f}",
-                f"{times['em']:.2f}",
+                number(times["em"], ".2f"),
                 f"{times['dc']:.2f}",
                 f"**{times['ours']:.2f}**",
-                f"{row['rank_dc']}{more}",
-                f"{seconds['em']:.1f}",
+                number(row["rank_dc"], "d", more),
+                number(seconds["em"], ".1f"),
                 f"{seconds['dc']:.2f}",
                 f"{seconds['ours']:.2f}",
             ]
@@ -103,6 +103,16 @@ def _table_4(rows: Sequence[dict[str, Any]]) -> list[str]:
             [row["name"], str(row["variables"]["T"]), str(row["variables"]["P"]), *shown, f"{times['ours']:.2f}"]
         )
     return _table(["mission", "T", "P", *ALLOCATIONS, "ours"], body)
+
+
+def mean(value: dict[str, float] | None) -> str:
+    """The mean of a pair of mean and worst."""
+    return number(None if value is None else value["mean"], ".1f")
+
+
+def number(value: float | None, form: str, more: str = "") -> str:
+    """A number as it is shown, and a dash where there is none."""
+    return "-" if value is None else f"{value:{form}}{more}"
 
 
 def _table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

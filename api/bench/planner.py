@@ -47,13 +47,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Run:
-    """One planner's result on one mission."""
+    """One planner's result on one mission; ``note`` is what its reader should know, e.g. that it stopped early."""
 
     mission_time_s: float
     solve_s: float
     handovers: int
     method: str
     wall_s: float = 0.0
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -132,30 +133,32 @@ def _paper(mission: Mission) -> Run | None:
     except PlannerError:
         return None
     theirs = solution.trajectory
-    return Run(theirs.duration_s, solve_s, len(theirs.handover_times_s), solution.method, wall_s)
+    return Run(
+        theirs.duration_s, solve_s, len(theirs.handover_times_s), solution.method, wall_s, "; ".join(solution.notes)
+    )
 
 
 def figures(results: Sequence[Result]) -> dict[str, Any]:
-    """All figures as JSON: each mission, and mean and worst by number of stations, over those that have a plan."""
+    """All figures as JSON: each mission; mean and worst, over those that have a plan, by size and overall."""
     rows = [row_of(result) for result in results]
-    summary = []
-    for count in sorted({row["stations"] for row in rows}):
-        of_size = [row for row in rows if row["stations"] == count]
+    counts = sorted({row["stations"] for row in rows})
+    by_size = [{"stations": count, **_summary([row for row in rows if row["stations"] == count])} for count in counts]
+    return {"missions": rows, "summary": by_size, "overall": _summary(rows)}
 
-        entry: dict[str, Any] = {
-            "stations": count,
-            "missions": len(of_size),
-            "infeasible": sum(row["infeasible"] is not None for row in of_size),
-            "failed": sum(row["failed"] is not None for row in of_size),
-        }
-        for name in ("ours", "fast", "paper"):
-            runs = [row[name] for row in of_size if row[name] is not None]
-            entry[f"{name}_gap_percent"] = mean_and_worst([run["gap_percent"] for run in runs])
-            entry[f"{name}_solve_s"] = mean_and_worst([run["solve_s"] for run in runs])
-        for name in ("mission_time_ratio", "solve_time_ratio", "fast_solve_time_ratio"):
-            entry[name] = mean_and_worst([row[name] for row in of_size if row[name] is not None])
-        summary.append(entry)
-    return {"missions": rows, "summary": summary}
+
+def _summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "missions": len(rows),
+        "infeasible": sum(row["infeasible"] is not None for row in rows),
+        "failed": sum(row["failed"] is not None for row in rows),
+    }
+    for name in ("ours", "fast", "paper"):
+        runs = [row[name] for row in rows if row[name] is not None]
+        entry[f"{name}_gap_percent"] = mean_and_worst([run["gap_percent"] for run in runs])
+        entry[f"{name}_solve_s"] = mean_and_worst([run["solve_s"] for run in runs])
+    for name in ("mission_time_ratio", "solve_time_ratio", "fast_solve_time_ratio"):
+        entry[name] = mean_and_worst([row[name] for row in rows if row[name] is not None])
+    return entry
 
 
 def mean_and_worst(values: Sequence[float]) -> dict[str, float] | None:

@@ -6,10 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from api.bench.cases import chain, crowd
+from api.bench.cases import PAPER_OPTIONS, chain, crowd
 from api.bench.planner import measure, row_of, timed
+from gcs.mission import Mission
+from gcs.planning import lay_out
 from planner.bound import lower_bound
 from planner.corridor import build_corridor
+from planner.paper.am import plan_paper
 from planner.paper.station_graph import shortest_sequence
 from planner.paper.waypoints import polyline_length_m, shortest_polyline
 from planner.problem import Problem
@@ -21,9 +24,24 @@ STATIONS = (1_000, 10_000, 100_000)
 
 
 def segments_row(segments: int, seed: int) -> dict[str, Any]:
-    """A chain of so many stations planned every way; fields as a mission's, and ``segments``."""
-    row = row_of(measure(chain(segments, seed)))
-    return {"segments": segments, **row}
+    """A chain of so many stations planned every way; fields as a mission's, and ``segments``.
+
+    ``paper_direct`` is the paper's method once more, its programs assembled without cvxpy, which fails on long chains.
+    """
+    case = chain(segments, seed)
+    result = measure(case)
+    mission = Mission.from_document(case.document).with_options(PAPER_OPTIONS)
+    row = row_of(result)
+    solution, solve_s, wall_s = timed(lambda: plan_paper(lay_out(mission).problem))
+    duration_s = solution.trajectory.duration_s
+    direct = {
+        "mission_time_s": duration_s,
+        "gap_percent": 100.0 * (duration_s / result.lower_bound_s - 1.0),
+        "solve_s": solve_s,
+        "wall_s": wall_s,
+        "note": "; ".join(solution.notes),
+    }
+    return {"segments": segments, **row, "paper_direct": direct}
 
 
 def routing_row(stations: int, seed: int) -> dict[str, Any]:

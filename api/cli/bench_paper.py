@@ -30,6 +30,7 @@ def run_paper(
     results_file: str | None,
     figures_directory: str | None,
     redo: Sequence[str],
+    kept_only: bool,
     as_json: bool,
     guarded: Callable[[Callable[[], Any]], Any],
 ) -> None:
@@ -61,8 +62,14 @@ def run_paper(
             def tell(text: str) -> None:
                 progress.show(text, now=True)
 
-            rows = guarded(lambda: paper.run(cases, settings, results, again=again, tell=tell))
-            drawn = [] if folder is None else _draw(cases, rows, folder, tell)
+            rows = guarded(lambda: paper.run(cases, settings, results, again=again, kept_only=kept_only, tell=tell))
+            if not rows:
+                raise BadInputError(
+                    "there is nothing to show yet",
+                    {"where": "--results", "what": "no mission has all of Table 4", "fix": "leave out --kept-only"},
+                )
+            shown = {row["name"] for row in rows}
+            drawn = [] if folder is None else _draw([c for c in cases if c.name in shown], rows, folder, tell)
             machines = results.machines()
     except ResultsError as error:
         raise BadInputError("the results file cannot be used", {"where": "--results", "what": str(error)}) from None
@@ -142,21 +149,24 @@ def _print(document: dict[str, Any]) -> None:
 
 
 def _table_3(rows: Sequence[dict[str, Any]]) -> Table:
+    from api.bench.paper_page import number
+
     table = columns(
         "mission", "sequences", "pruned", "bound s", "EM s", "DC s", "ours s", "rank DC", "EM", "DC", "ours"
     )
     for row in rows:
         times, seconds = row["mission_time_s"], row["cpu_s"]
+        more = "+" if row["complete"] is False else ""
         table.add_row(
             row["name"],
-            f"{row['sequences']['em']}{'' if row['complete'] else '+'}",
-            str(row["sequences"]["em_pruned"]),
+            number(row["sequences"]["em"], "d", more),
+            number(row["sequences"]["em_pruned"], "d"),
             f"{row['lower_bound_s']:.2f}",
-            f"{times['em']:.2f}",
+            number(times["em"], ".2f"),
             f"{times['dc']:.2f}",
             f"{times['ours']:.2f}",
-            f"{row['rank_dc']}{'' if row['complete'] else '+'}",
-            f"{seconds['em']:.1f} s",
+            number(row["rank_dc"], "d", more),
+            number(seconds["em"], ".1f", " s"),
             f"{seconds['dc']:.2f} s",
             f"{seconds['ours']:.2f} s",
         )
@@ -175,8 +185,10 @@ def _table_4(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _summary(rows: Sequence[dict[str, Any]]) -> Table:
+    from api.bench.paper_page import mean
+
     names = list(rows[0]["gap_percent"]) if rows else []
     table = columns("stations", *names)
     for row in rows:
-        table.add_row(str(row["stations"]), *(f"{row['gap_percent'][name]['mean']:.1f}" for name in names))
+        table.add_row(str(row["stations"]), *(mean(row["gap_percent"][name]) for name in names))
     return table

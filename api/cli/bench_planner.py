@@ -125,6 +125,14 @@ def bench_planner(
             "[bold]enumeration[/bold] or [bold]rivals[/bold]; repeatable.",
         ),
     ] = None,
+    kept_only: Annotated[
+        bool,
+        typer.Option(
+            "--kept-only",
+            rich_help_panel=_PAPER,
+            help="Show what --results holds so far; measure nothing but what --redo names.",
+        ),
+    ] = False,
     figures: Annotated[
         str | None,
         typer.Option(
@@ -161,6 +169,7 @@ def bench_planner(
             results_file=results,
             figures_directory=figures,
             redo=redo or [],
+            kept_only=kept_only,
             as_json=as_json,
             guarded=_guarded,
         )
@@ -243,12 +252,13 @@ def _check_combinations(given: dict[str, Any]) -> None:
         "--rival-limit": "rival_limit",
         "--results": "results",
         "--redo": "redo",
+        "--kept-only": "kept_only",
         "--figures": "figures",
     }
     said = {option for option, name in names.items() if given[name] not in (None, False, 0, [])}
-    of_paper = ("--time-limit", "--rival-limit", "--results", "--redo", "--figures")
+    of_paper = ("--time-limit", "--rival-limit", "--results", "--redo", "--kept-only", "--figures")
     for option in of_paper:
-        if given[names[option]] is not None and "--paper" not in said:
+        if given[names[option]] not in (None, False) and "--paper" not in said:
             raise BadInputError(f"{option} goes with --paper", {"where": option, "fix": "add --paper, or leave it out"})
     clashes = [
         ("--missions", ("--random",)),

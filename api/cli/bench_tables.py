@@ -37,19 +37,25 @@ def print_planner(document: dict[str, Any]) -> None:
     if "costs" in document:
         parts.append(("what is asked for on top of the paper's problem, and its cost", _costs(document["costs"])))
     to = console.out()
+    rows = [*document.get("missions", []), *document.get("segments", [])]
+    rows += document.get("default_options", {}).get("missions", [])
     for number, (title, table) in enumerate(parts):
         if number:
             to.print()
         if title:
             to.print(title, style="bold")
         to.print(table)
+    for row in rows:
+        if row["paper"] is not None and row["paper"]["note"]:
+            to.print(f"* {row['name']}: {row['paper']['note']}")
     sys.stdout.flush()
 
 
 def _planned(document: dict[str, Any], prefix: str) -> list[tuple[str, Table]]:
+    sizes = [*document["summary"], {"stations": "all", **document["overall"]}]
     parts = [
         (prefix + "each mission" if prefix else "", _missions(document["missions"])),
-        (prefix + "mean / worst by size; solved in processor time", _sizes(document["summary"])),
+        (prefix + "mean / worst by size; solved in processor time", _sizes(sizes)),
     ]
     told = [row for row in document["missions"] if row["infeasible"] or row["failed"]]
     if told:
@@ -96,7 +102,12 @@ def _missions(rows: Sequence[dict[str, Any]]) -> Table:
 def _run(run: dict[str, Any] | None, gap: str = ".2f") -> tuple[str, str, str]:
     if run is None:
         return ("-", "-", "-")
-    return (f"{run['mission_time_s']:.1f}", f"{run['gap_percent']:{gap}} %", f"{run['solve_s']:.2f} s")
+    early = "*" if run["note"] else ""
+    return (
+        f"{run['mission_time_s']:.1f}{early}",
+        f"{run['gap_percent']:{gap}}{early} %",
+        f"{run['solve_s']:.2f}{early} s",
+    )
 
 
 def _sizes(rows: Sequence[dict[str, Any]]) -> Table:
@@ -132,14 +143,15 @@ def _sizes(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _segments(rows: Sequence[dict[str, Any]]) -> Table:
-    titles = ("ours over bound", "solved in", "fast", "solved in", "paper's", "solved in", "solve time", "fast")
-    table = columns("stations in a row", *titles)
+    titles = ["ours over bound", "solved in", "fast", "solved in", "paper's", "solved in", "without cvxpy", "solved in"]
+    table = columns("stations in a row", *titles, "solve time", "fast")
     for row in rows:
         table.add_row(
             str(row["segments"]),
             *_run(row["ours"])[1:],
             *_run(row["fast"])[1:],
             *_run(row["paper"], ".1f")[1:],
+            *_run(row["paper_direct"], ".1f")[1:],
             _number(row["solve_time_ratio"], "x {:.3f}"),
             _number(row["fast_solve_time_ratio"], "x {:.3f}"),
         )

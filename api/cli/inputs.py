@@ -83,7 +83,7 @@ def infeasible(error: MissionInfeasible) -> InfeasibleError:
             "stations": ", ".join(error.stations),
             "where": place(error.where),
             "gap_m": None if error.gap_m is None else f"{error.gap_m:.1f}",
-            "fix": error.fix_text or (None if error.fix is None else text_of(error.fix)),
+            "fix": error.fix_text.replace("; or ", ";\nor ") or (None if error.fix is None else text_of(error.fix)),
         },
     )
 

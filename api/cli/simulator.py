@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from gcs.plan import Plan
 
 _READY_S = 30.0
-# The flight begins at most so far above the ground the simulated vehicle stands on, m.
+# The flight begins so far above the ground the simulated vehicle stands on, m; higher where the plan goes down further,
+# which stays this clear of the ground.
 _CLIMB_M = 40.0
+_CLEAR_M = 5.0
 # Headroom over the mission's own speed limit, so that the vehicle can catch up.
 _FASTER = 1.4
 _TILT_DEG = 45.0
@@ -38,10 +40,14 @@ def free_udp_ports(count: int) -> list[int]:
 
 
 def home_under(plan: Plan) -> str:
-    """``LAT,LON,ALT`` of ground for the simulator to stand on, under the plan's start."""
+    """``LAT,LON,ALT`` of ground for the simulator to stand on, under the plan's start, and below all of the plan.
+
+    The simulated ground is level: a plan that goes down far from its start must not meet it.
+    """
     start_m = plan.trajectory.evaluate(0.0)
     lat_deg, lon_deg = plan.plane.to_geodetic(float(start_m[0]), float(start_m[1]))
-    ground_amsl_m = float(start_m[2]) + plan.plane.alt_amsl_m - _CLIMB_M
+    lowest_m = float(plan.trajectory.control_points_m[..., 2].min())
+    ground_amsl_m = min(float(start_m[2]) - _CLIMB_M, lowest_m - _CLEAR_M) + plan.plane.alt_amsl_m
     return f"{float(lat_deg):.9f},{float(lon_deg):.9f},{ground_amsl_m:.3f}"
 
 

@@ -135,15 +135,19 @@ def plan_paper_cvxpy(
     program = ControlPointReference(problem, corridor)
     polyline = shortest_polyline_cvxpy(problem, corridor)
     method.restart_from(settled(problem, corridor, method.refuges, polyline[1:-1]))
-    iterations, gain = 0, math.inf
+    iterations, gain, notes = 0, math.inf, []
     if record is not None:
         record.append(method.snapshot(0, clock() - started))
     while gain > delta_t_s and not (max_runtime_s is not None and clock() - started >= max_runtime_s):
-        gain = method.step(program.solve)
+        try:
+            gain = method.step(program.solve)
+        except SolverError as error:
+            notes.append(f"alternating minimisation stopped early: {error}")
+            break
         iterations += 1
         if record is not None:
             record.append(method.snapshot(iterations, clock() - started))
-    return certified(problem, method.finish(), "paper-cvxpy", lower_bound_s, iterations)
+    return certified(problem, method.finish(), "paper-cvxpy", lower_bound_s, iterations, tuple(notes))
 
 
 def _solve(program: Any) -> None:

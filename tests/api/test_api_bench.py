@@ -25,7 +25,9 @@ def test_figures_are_means_and_worsts_by_size() -> None:
         bench.Result("b", 30, 100.0, bench.Run(103.0, 1.0, 3, "joint"), bench.Run(110.0, 2.0, 3, "paper")),
         bench.Result("c", 100, 200.0, bench.Run(202.0, 1.0, 5, "joint"), bench.Run(220.0, 2.0, 5, "paper")),
     ]
-    small, large = bench.figures(results)["summary"]
+    document = bench.figures(results)
+    small, large = document["summary"]
+    assert document["overall"]["ours_gap_percent"] == pytest.approx({"mean": (1.0 + 3.0 + 1.0) / 3.0, "worst": 3.0})
     assert (small["stations"], small["missions"], large["missions"]) == (30, 2, 1)
     assert small["ours_gap_percent"] == pytest.approx({"mean": 2.0, "worst": 3.0})
     assert small["paper_gap_percent"] == pytest.approx({"mean": 15.0, "worst": 20.0})
@@ -148,6 +150,7 @@ def test_long_chains_and_large_maps_are_measured(cli: Cli) -> None:
     (row,) = document["segments"]
     assert (row["segments"], row["stations"], row["ours"]["handovers"]) == (12, 12, 11)
     assert 0.0 <= row["ours"]["gap_percent"] <= row["paper"]["gap_percent"]
+    assert row["paper_direct"]["gap_percent"] == pytest.approx(row["paper"]["gap_percent"], abs=2.0)
     (row,) = document["routing"]
     assert row["stations"] == 200
     # No sequence is shorter than the exact path, but for rounding; ours is hardly longer.

@@ -111,6 +111,15 @@ def test_both_tables_come_with_this_planner_and_a_run_goes_on_where_it_was(
     # One measurement lost: only that one is made.
     kept.write_bytes(kept.read_bytes()[:-10])
     assert units_told(cli(*run).err) == ["two, AM, 0.05 s"]
+    # What is there is shown, with a dash for an enumeration that was not made yet.
+    kept.write_text("".join(line for line in kept.read_text().splitlines(True) if '"enumeration"' not in line))
+    shown = cli(*run, "--kept-only")
+    assert units_told(shown.err) == []
+    (row,) = json.loads(shown.out)["table_3"]
+    assert (row["mission_time_s"]["em"], row["rank_dc"], row["complete"]) == (None, None, None)
+    assert json.loads(shown.out)["summary"][0]["gap_percent"]["EM"] is None
+    assert cli(*[part for part in run if part != "--json"], "--kept-only").code == 0
+    assert units_told(cli(*run).err) == ["two, EM, 0.2 s"]
     # This planner's column alone; an enumeration that came to its end stays one under any limit.
     assert units_told(cli(*run, "--redo", "ours").err) == ["two, this planner and DC"]
     assert units_told(cli(*run[:-2], "--rival-limit", "0.05", "--time-limit", "0.3").err) == []
@@ -147,6 +156,8 @@ def test_the_figures_are_drawn(cli: Cli, folder: Path, tmp_path: Path) -> None:
         (("--results", "x.jsonl"), "goes with --paper"),
         (("--figures", "x"), "goes with --paper"),
         (("--redo", "ours"), "goes with --paper"),
+        (("--kept-only",), "goes with --paper"),
+        (("--paper", "--kept-only", "--quick"), "nothing to show"),
         (("--paper", "--time-limit", "0"), "more than 0"),
         (("--paper", "--rival-limit", "nan"), "more than 0"),
         (("--paper", "--rival-limit", "inf"), "more than 0"),

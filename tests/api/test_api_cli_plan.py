@@ -78,6 +78,19 @@ def test_fast_plans_by_another_method_and_keeps_every_limit(cli: Cli) -> None:
     assert check_plan(document, GOOD) == []
 
 
+def test_what_the_options_cost_is_told_and_kept(cli: Cli, tmp_path: Path) -> None:
+    """Over the straight way of `GOOD` an overlap of 5 s costs nothing; arriving later costs what it says."""
+    outcome = cli("plan", "-", "--fast", "--costs", "--option", "arrival_s=1000", "-o", tmp_path / "plan.json",
+                  stdin=body_of(GOOD))  # fmt: skip
+    assert (outcome.code, outcome.err) == (0, "")
+    costs = {cost["option"]: cost for cost in json.loads((tmp_path / "plan.json").read_bytes())["costs"]}
+    assert set(costs) == {"min_overlap_s", "range_margin_m", "min_tenure_s", "arrival_s", "together"}
+    assert costs["arrival_s"]["cost_s"] > 200.0
+    (row,) = [line for line in outcome.out.splitlines() if line.split()[:1] == ["arrival_s"]]
+    assert f"{costs['arrival_s']['cost_s']:+.1f} s" in row
+    assert cli("handovers", tmp_path / "plan.json").code == 0
+
+
 @pytest.mark.parametrize(
     ("option", "said"),
     [("min_overlap_s", "NAME=VALUE"), ("min_overlap=5", "min_overlap_s"), ("min_overlap_s=-1", "must not be negative"),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from checker import check_plan
-from flight_plans import wide_document, wide_plan
+from flight_plans import FIRST_JOIN_S, wide_document, wide_plan
 from gcs.errors import MissionError, MissionInfeasible
 from gcs.mission import LocalPosition, Mission
 from gcs.plan import Plan
@@ -58,10 +58,14 @@ def holds(new: Replanned, old: Plan, join_s: float) -> None:
     assert all(way.covered for way in ways)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.42, 0.85])
-def test_a_flight_in_motion_keeps_position_velocity_and_acceleration(share: float) -> None:
-    old = wide_plan()
-    join_s = share * old.mission_time_s
+def on_leg(leg: int, into_s: float) -> float:
+    """A time of the plan so long after a leg began: past the tenure of its station, which is not to be cut short."""
+    return into_s if leg == 0 else wide_plan().handovers[leg - 1].time_s + into_s
+
+
+@pytest.mark.parametrize("place", [(0, 5.0), (1, 13.0), (3, 12.0)])
+def test_a_flight_in_motion_keeps_position_velocity_and_acceleration(place: tuple[int, float]) -> None:
+    old, join_s = wide_plan(), on_leg(*place)
     new = replan(old, join_s, **FAST)
     assert new.join_s == join_s
     holds(new, old, join_s)
@@ -79,7 +83,7 @@ def test_on_the_earth_the_plane_stays_the_flights_own() -> None:
 def test_a_new_destination_and_a_station_left_out() -> None:
     old = wide_plan()
     assert "s2" in old.station_ids
-    join_s = old.handovers[0].time_s - 12.0
+    join_s = FIRST_JOIN_S
     home = replan(old, join_s, destination=LocalPosition(0.0, 0.0, 40.0), **FAST)
     holds(home, old, join_s)
     end = home.plan.trajectory.evaluate(home.plan.mission_time_s)
@@ -92,10 +96,9 @@ def test_a_new_destination_and_a_station_left_out() -> None:
     assert "s2" not in around.plan.station_ids
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.55, 0.8])
-def test_a_flight_that_stands_goes_on_from_rest(share: float) -> None:
-    old = wide_plan()
-    stand_s = share * old.mission_time_s
+@pytest.mark.parametrize("place", [(0, 2.0), (1, 13.0), (2, 13.0), (3, 12.0)])
+def test_a_flight_that_stands_goes_on_from_rest(place: tuple[int, float]) -> None:
+    old, stand_s = wide_plan(), on_leg(*place)
     new = replan(old, stand_s, at_rest=True, **FAST)
     holds(new, old, stand_s)
     place = new.plan.trajectory.evaluate(new.join_s)

@@ -97,3 +97,23 @@ def test_links_are_told_with_loss_latency_and_jitter() -> None:
         assert 0.08 < way["round_loss"] < 0.35
         assert 2.0 < way["jitter_ms"] < 30.0
     assert one.core.summary()["links"]["s1"]["ways"][0]["url"] == first["url"]
+
+
+def test_over_tcp_a_frame_may_come_in_pieces() -> None:
+    from link.codec import StationCodec
+    from link.dialect import mavlink
+    from link.flight import FlightCore, FlightRequest
+
+    plan = relay_plan(2)
+    urls = {"s1": ["udpout:127.0.0.1:9", "tcp:127.0.0.1:9"], "s2": "tcp:127.0.0.1:10"}
+    core = FlightCore(FlightRequest(plan=plan.to_document(), autopilot="px4", links=urls))
+    vehicle = StationCodec(1, 1)
+    frame = vehicle.encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3))
+    core.receive("s1", frame[:9], 1.0, "tcp:127.0.0.1:9")
+    core.receive("s1", frame[9:], 1.1, "tcp:127.0.0.1:9")
+    first, second = core.context.monitor.links["s1"].carriers
+    assert (first.messages, second.messages) == (0, 1)
+    # A datagram in two is two broken ones.
+    core.receive("s1", frame[:9], 2.0, "udpout:127.0.0.1:9")
+    core.receive("s1", frame[9:], 2.1, "udpout:127.0.0.1:9")
+    assert first.messages == 0

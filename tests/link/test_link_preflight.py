@@ -230,7 +230,7 @@ def test_a_links_quality_comes_from_its_probes() -> None:
     assert quality is not None
     assert quality.loss == pytest.approx(0.2)
     assert quality.round_trip_s == pytest.approx(0.15)
-    assert quality.jitter_s == pytest.approx(0.6 / 7 + 0.0, abs=0.02)
+    assert 0.0 < quality.jitter_s <= 0.1  # from 0.1 to 0.2 s and back, now and then twice the same
 
 
 # -- all together -----------------------------------------------------------------------------------------------------

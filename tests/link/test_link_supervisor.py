@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from flight_plans import relay_plan
-from flight_processes import ROOT, Events, free_ports, simulator
+from flight_plans import relay_plan, wide_plan
+from flight_processes import ROOT, Events, bad_links, free_ports, simulator
 from gcs.flight import FlightEvent, FlightState, TransitionError
+from gcs.mission import LocalPosition
+from gcs.replan import replan
 from link.errors import FlightRequestError, SupervisorError
 from link.flight import FlightRequest
 from link.supervisor import attach, start_flight
@@ -124,6 +126,63 @@ def test_one_leaves_and_another_takes_over_the_attending(tmp_path: Path) -> None
     assert sequences == list(range(1, len(sequences) + 1))
     assert "nobody attends the flight" in [e.data.get("what") for e in second.all]
     assert not alive(flight.pid)
+
+
+@pytest.mark.slow
+def test_over_bad_links_a_station_that_dies_ends_the_flight_in_its_contingency(tmp_path: Path) -> None:
+    """Real UDP: 10 % loss, 100 ms latency and reordering on every link (in the flight's time); then s3's link is gone.
+
+    The flight waits inside s2's coverage, goes back along its path, hands over backwards and lands where it began.
+    """
+    plan = relay_plan(3)
+    late = ("--loss", "0.1", "--latency", str(0.1 / SPEEDUP), "--jitter", str(0.05 / SPEEDUP))
+    with simulator(plan, "ardupilot", SPEEDUP) as vehicle, bad_links(vehicle, *late) as proxies:
+        events = Events()
+        log = tmp_path / "flight.tlog"
+        request = vehicle.request(plan, "ardupilot", SPEEDUP, wait_for_station_s=5.0, log_path=str(log))
+        flight = start_flight(request, on_event=events, run_dir=tmp_path / "run")
+        events.in_cruise(plan.handovers[0].time_s + 3.0)
+        proxies["s3"].kill()
+        result = flight.wait(120.0)
+    assert (result.state, result.exit_code) == (FlightState.CONTINGENCY, 4), result.reason
+    states = [e.data["to"] for e in events.all if e.kind.value == "state"]
+    assert states[-4:] == ["holding", "returning", "landing", "contingency"]
+    released = [(e.data["from"], e.data["to"]) for e in events.all if e.data.get("state") == "released"]
+    assert released == [("s1", "s2"), ("s2", "s1")]
+    links = result.summary["links"]
+    assert 0.03 < links["s1"]["loss"] < 0.2
+    assert 60.0 < links["s1"]["latency_ms"] < 300.0
+
+
+@pytest.mark.slow
+def test_a_plan_given_in_the_air_is_flown_by_the_streamer(tmp_path: Path) -> None:
+    """In motion, on real UDP: a new plan that begins some way ahead is taken over, and ends where it says."""
+    plan = wide_plan()
+    with simulator(plan, "px4", SPEEDUP) as vehicle:
+        events = Events()
+        flight = start_flight(vehicle.request(plan, "px4", SPEEDUP), on_event=events, run_dir=tmp_path / "run")
+        try:
+            at_s = float(events.in_cruise(1.0).data["plan_s"])
+            with pytest.raises(TransitionError, match="No such file"):
+                flight.command("replan", new_plan_sha256="0" * 64)
+            home = LocalPosition(30.0, 20.0, 42.0)
+            # Past the tenure of s2, which is not to be cut short; well ahead.
+            join_s = plan.handovers[0].time_s + 14.0
+            assert join_s > at_s + 12.0
+            new = replan(plan, join_s, destination=home, method="fast").plan
+            flight.replan(new.to_document(), by="test", reason="home again")
+            assert flight.status()["plan_sha256"] == new.plan_sha256
+            events.in_cruise(join_s + 2.0)
+            with pytest.raises(TransitionError, match="too late"):
+                flight.replan(plan.to_document())
+            result = flight.wait(120.0)
+        finally:
+            flight.kill()
+    assert (result.state, result.exit_code) == (FlightState.COMPLETED, 0)
+    assert result.summary["plan_sha256"] == new.plan_sha256
+    assert result.summary["handovers"] == len(new.handovers)
+    told = [e for e in events.all if e.kind.value == "replanned"]
+    assert [e.data["before"] for e in told] == [plan.plan_sha256]
 
 
 PARENT = """

@@ -151,3 +151,14 @@ def test_between_roots_the_sign_is_one(coefficients: np.ndarray) -> None:
         inside = np.linspace(low + 1e-3 * (high - low), high - 1e-3 * (high - low), 50)
         values = bezier.evaluate(coefficients[:, None], inside)[:, 0]
         assert not ((values > 1e-9).any() and (values < -1e-9).any())
+
+
+@given(st.integers(0, 10_000))
+def test_only_roots_are_the_roots(seed: int) -> None:
+    """Coefficients that change sign once, up or down, steep or flat: one root each, the same as found alone."""
+    rng = np.random.default_rng(seed)
+    size = 10.0 ** rng.uniform(-6, 6, (30, 11))
+    sign = np.where(np.arange(11) < rng.integers(1, 11, 30)[:, None], -1.0, 1.0) * rng.choice([-1.0, 1.0], (30, 1))
+    found = bezier.only_roots(sign * size)
+    for row, u in zip(sign * size, found, strict=True):
+        assert [u] == pytest.approx(bezier.roots(row), abs=1e-9)

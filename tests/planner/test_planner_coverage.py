@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner import Trajectory
-from planner.coverage import coverage_window, range_excess
+from planner.coverage import Stations, coverage_window, coverage_windows, held_s, range_excess
 
 
 def line(start: list[float], end: list[float], duration_s: float) -> Trajectory:
@@ -126,3 +126,35 @@ def test_windows_agree_with_dense_samples(seed: int, share: float, size: float, 
         for edge, step in ((start, -1.0), (end, 1.0)):
             if 1e-6 < edge < flight.duration_s - 1e-6:
                 assert outside(edge + step * np.linspace(0, 1e-5, 11)).max() > -1e-9
+
+
+@given(st.integers(0, 100_000))
+@settings(deadline=None, max_examples=20)
+def test_many_windows_are_the_single_ones(seed: int) -> None:
+    """Forty windows at once, of flights longer than a walk's stride, are what each of them is alone."""
+    rng = np.random.default_rng(seed)
+    waypoints = np.cumsum(rng.normal(size=(13, 3)), axis=0)
+    points = np.stack([np.concatenate([[a], a + rng.normal(size=(3, 3)), [b]]) for a, b in pairwise(waypoints)])
+    flight = Trajectory(points, rng.uniform(1, 3, 12), np.zeros(12, dtype=int))
+    at, size = rng.normal(scale=2.0, size=(40, 3)), rng.uniform(0.5, 8.0, 40)
+    times = rng.choice([rng.uniform(0, flight.duration_s), *flight.knots_s], 40)
+    angles = rng.choice([-90.0, 0.0, 20.0], 40)
+    early, late = coverage_windows(flight, Stations(at, size, angles), times)
+    for k in range(40):
+        alone = coverage_window(flight, at[k], size[k], times[k], min_elevation_deg=angles[k])
+        assert (early[k], late[k]) == pytest.approx(alone, abs=1e-9)
+    early, late = coverage_windows(flight, Stations(at, np.full(40, 1e3)), times)
+    assert (early == 0.0).all()
+    assert (late == flight.duration_s).all()
+
+
+def test_whole_segments_held_end_at_the_first_that_is_not() -> None:
+    """Ten segments of 1 s along x, 1 m each; a station at x = 3 with 2.5 m holds those from 1 to 5 as a whole."""
+    points = np.array([[[k, 0, 0], [k + 1, 0, 0]] for k in range(10)], dtype=float)
+    flight = Trajectory(points, np.ones(10), np.zeros(10, dtype=int))
+    stations = Stations(np.array([[3.0, 0.0, 0.0]] * 4), np.full(4, 2.5))
+    first = np.array([2, 4, 5, 0])
+    assert held_s(flight, stations, first, ahead=True).tolist() == [3.0, 1.0, 0.0, 0.0]
+    assert held_s(flight, stations, first, ahead=False).tolist() == [2.0, 4.0, 0.0, 0.0]
+    wide = Stations(stations.at_m, np.full(4, 100.0))
+    assert held_s(flight, wide, first, ahead=True).tolist() == [8.0, 6.0, 5.0, 10.0]

@@ -7,6 +7,7 @@ import pytest
 from planner_missions import paper_problem
 
 from planner import build_corridor
+from planner.errors import SolverError
 from planner.paper.am import AlternatingMinimisation, plan_paper
 from planner.paper.boundary import control_points
 from planner.paper.station_graph import shortest_sequence
@@ -49,3 +50,19 @@ def test_the_whole_method_agrees() -> None:
     assert reference.method == "paper-cvxpy"
     assert reference.trajectory.duration_s == pytest.approx(direct.trajectory.duration_s, rel=0.02)
     assert plan_paper_cvxpy(problem, max_runtime_s=0.0).iterations == 0
+
+
+def test_a_solver_that_gives_up_ends_the_descent_and_not_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, calls = paper_problem("M30_08"), iter(range(100))
+    solve = ControlPointReference.solve
+
+    def fails_third(self: ControlPointReference, durations_s: np.ndarray) -> np.ndarray:
+        if next(calls) == 2:
+            raise SolverError("out of digits")
+        return solve(self, durations_s)
+
+    monkeypatch.setattr(ControlPointReference, "solve", fails_third)
+    stopped = plan_paper_cvxpy(problem)
+    assert stopped.certificate.feasible
+    assert stopped.iterations == 2
+    assert stopped.notes == ("alternating minimisation stopped early: out of digits",)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -308,11 +309,27 @@ def remedied(problem: Problem, fix: dict[str, object]) -> Problem:
         if name == "max_handovers":
             return replace(problem, max_handovers=fix["to"])  # type: ignore[arg-type]
         return replace(problem, limits=replace(limits, **{name: fix["to"]}))  # type: ignore[arg-type]
+    if action in ("move", "set_altitude"):
+        name = f"{fix['of']}_m"
+        point = np.array(fix["position_m"]) if action == "move" else getattr(problem, name).copy()
+        if action == "set_altitude":
+            point[2] = fix["alt_m"]
+        moved: dict[str, Any] = {name: point}
+        return replace(problem, **moved)
+    if action in ("lower_elevation", "lower_elevations"):
+        assert problem.min_elevation_deg is not None
+        angles = problem.min_elevation_deg.copy()
+        if action == "lower_elevation":
+            angles[fix["station"]] = fix["to_deg"]  # type: ignore[index]
+        else:
+            angles = np.where(angles < 0.0, angles, np.maximum(angles - float(fix["by_deg"]), 0.0))  # type: ignore[arg-type]
+        return replace(problem, min_elevation_deg=angles)
     assert action == "add_station", action
     return replace(
         problem,
         station_positions_m=np.vstack([problem.station_positions_m, fix["position_m"]]),  # type: ignore[arg-type]
         ranges_m=np.append(problem.ranges_m, float(fix["range_m"])),  # type: ignore[arg-type]
+        min_elevation_deg=None if problem.min_elevation_deg is None else np.append(problem.min_elevation_deg, -90.0),
     )
 
 
@@ -381,7 +398,37 @@ def test_remedies_of_the_missions_a_margin_breaks(name: str) -> None:
 def test_an_end_outside_the_band() -> None:
     found = why(make_problem([0, 0, 90], [500, 0, 100], [[0, 0, 0, 1000]]))
     assert found.reason == "start_altitude"
-    assert found.fix == {"action": "set_altitude", "of": "start", "alt_m": 100.0, "by_m": 10.0}
+    assert found.fix is not None
+    lower = {"action": "widen_band", "min_alt_m": 90.0, "by_m": 10.0}
+    first = {"action": "set_altitude", "of": "start", "alt_m": 100.0, "by_m": 10.0}
+    assert found.fix == {**first, "alternatives": [lower]}
+
+
+def test_an_end_seen_too_low() -> None:
+    """100 m up and 900 m away: 6.34 degrees, and 20 are asked for; 275 m away they are 20."""
+    angles = {"min_elevation_deg": np.array([20.0])}
+    problem = make_problem([900, 0, 100], [0, 0, 100], [[0, 0, 0, 1000]], band=(100.0, 100.0), **angles)
+    found = why(problem)
+    assert (found.reason, found.stations, found.gap_m) == ("start_uncovered", (0,), 0.0)
+    assert found.fix is not None
+    assert found.fix["to_deg"] == pytest.approx(np.degrees(np.arctan2(100.0, 900.0)))
+    alternatives = {fix["action"]: fix for fix in found.fix["alternatives"]}  # type: ignore[attr-defined]
+    assert alternatives["move"]["by_m"] == pytest.approx(900.0 - 100.0 / np.tan(np.radians(20.0)), abs=1e-3)
+    assert alternatives["lower_elevations"]["by_deg"] == pytest.approx(20.0 - found.fix["to_deg"], abs=1e-4)  # type: ignore[operator]
+    assert_remedies_work(problem, found)
+
+
+def test_fewer_handovers_by_longer_ranges() -> None:
+    """Three stations in a row need two handovers; with one, the outer ones must meet, or one reach an end."""
+    stations = [[0, 0, 100, 1000], [1900, 0, 100, 1000], [3800, 0, 100, 1000]]
+    problem = make_problem([0, 0, 100], [3800, 0, 100], stations, max_handovers=1)
+    found = why(problem)
+    assert found.fix is not None
+    assert (found.fix["action"], found.fix["to"]) == ("raise_limit", 2)
+    alternatives = {fix["action"]: fix for fix in found.fix["alternatives"]}  # type: ignore[attr-defined]
+    assert alternatives["raise_all_ranges"]["by_m"] == pytest.approx(900.0, abs=0.01)
+    assert alternatives["raise_range"]["by_m"] == pytest.approx(900.0, abs=0.01)
+    assert_remedies_work(problem, found)
 
 
 def test_an_endurance_no_one_could_keep_is_known_at_once() -> None:

@@ -25,6 +25,9 @@ from sitl_station import (
     airborne,
 )
 
+from sitl_fixtures.errors import ConfigurationError
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
+
 
 def moving(rig: Rig, station: Station, speed: float = 15.0, mask: int = ALL, seconds: float = 12.0) -> float:
     """Streams a straight run north until the vehicle follows; when it started."""
@@ -35,6 +38,17 @@ def moving(rig: Rig, station: Station, speed: float = 15.0, mask: int = ALL, sec
     rig.run(seconds)
     step()
     return start
+
+
+def test_before_4_7_one_station_is_heard_under_older_names_and_there_is_no_range() -> None:
+    enforced = ("SYSID_MYGCS=254", "SYSID_ENFORCE=1")
+    old = SimulatedAutopilot(SimulatorConfig(autopilot="ardupilot", firmware="4.6", parameters=enforced))
+    assert [old.personality.is_owner(i) for i in (253, 254, 255)] == [False, True, False]
+    assert not any(name in old.parameters for name in ("MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "MAV_OPTIONS", "MAV_SYSID"))
+    assert old.personality.version().flight_sw_version >> 16 == 0x0406
+    for autopilot, firmware in (("px4", "4.6"), ("ardupilot", "3.2")):
+        with pytest.raises(ConfigurationError, match=r"4\.6, with --autopilot ardupilot"):
+            SimulatorConfig(autopilot=autopilot, firmware=firmware)
 
 
 def test_arming_checks_speak_before_there_is_a_position() -> None:
