@@ -51,8 +51,9 @@ SIMULATOR_PARAMETER = "SIM_SPEEDUP"
 
 STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
     (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0),
-    # Not a divisor of any usual rate of setpoints: else it would always show the same of two that alternate.
-    (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 9.0),
+    # Every 111 ms: no multiple of a usual interval of setpoints, so that of two senders who alternate each is seen. It
+    # goes through theirs in steps of an eighth, shifted a little each time. ArduPilot keeps whole milliseconds.
+    (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 1000.0 / 111.0),
     (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
 )
 """What the station in control asks the vehicle to send, and how often, in Hz."""

@@ -24,8 +24,15 @@ LAG_GIVE_UP_M = 60.0
 LAG_TIME_S = 3.0
 """Time in which the lag is worked off."""
 STRANGE_M = 5.0
-STRANGE_COUNT, STRANGE_WITHIN_S, STRANGE_AGAIN_S = 3, 1.0, 10.0
-"""So many targets this far from every setpoint of ours within so long are told, and told again at most so often."""
+STRANGE_COUNT, STRANGE_WITHIN_S, STRANGE_AGAIN_S = 2, 2.0, 10.0
+"""So many targets this far from every setpoint of ours within so long are told, and told again at most so often.
+
+A stranger's setpoint holds until our next one. With the echoes of `link.launch.STREAMED_MESSAGES` one that holds for a
+quarter of the time is seen twice within a second, for an eighth of it within two; less is seen as the echoes drift
+through the ticks, and moves the vehicle as little.
+"""
+GRACE_S = 1.0
+"""Until our first setpoints are in, the vehicle rightly shows a target of its own, as after a take-off."""
 DELAY_S = 0.25
 """Tick and controller delay that is no fault of the vehicle, beside what of the link's latency is not led."""
 LEAD_STEP_S, LEAD_SETTLED_S = 0.015, 0.002
@@ -233,8 +240,8 @@ class UplinkMonitor:
         """Count from now on: the stream begins."""
         self._proven_s = self._c.now_s
         self._strange_since_s = None
-        # Until our first setpoints are in, the vehicle rightly shows a target of its own, as after a take-off.
-        self._ours_from_s = self._c.now_s + STRANGE_WITHIN_S
+        self._strange.clear()
+        self._ours_from_s = self._c.now_s + GRACE_S
 
     def update(self) -> None:
         """Look at the newest answers; once a tick."""
@@ -252,7 +259,8 @@ class UplinkMonitor:
     def _notice_strangers(self) -> None:
         """A target nowhere near our setpoints: somebody else streams, or the vehicle no longer takes ours."""
         c = self._c
-        other = c.state is FlightState.LANDING or c.now_s < self._ours_from_s
+        # Landing, and after a lapse, the vehicle flies a target of its own.
+        other = c.state in (FlightState.LANDING, FlightState.LAPSED) or c.now_s < self._ours_from_s
         if other or c.echoes.distance_m(c.monitor.target) <= STRANGE_M:
             self._strange_since_s = None
             return
