@@ -65,13 +65,13 @@ class BarrierRule(NamedTuple):
     least_evenness: float
 
 
-# On missions of the paper's kind `BRISK` takes a fifth fewer steps to the same plans; on hostile ones (ranges and limits
-# a thousandfold apart) it goes astray now and then, and `CAREFUL` does not.
+# On missions of the paper's kind `BRISK` takes a fifth fewer steps to the same plans; on hostile ones (ranges and
+# limits a thousandfold apart) it goes astray now and then, and `CAREFUL` does not.
 BRISK, CAREFUL = BarrierRule(100.0, 1.8, 5e-3), BarrierRule(10.0, 1.5, 1e-3)
 
 
 class Start(NamedTuple):
-    """A guess, the barrier's first parameter and rule, and the least slack: the larger, the further from the boundary."""
+    """A guess, the barrier's first parameter, the least slack (the larger, the further from the boundary), the rule."""
 
     x: Array
     inner: Array
