@@ -19,7 +19,7 @@ from gcs.flight import TransitionError
 from gcs.plan import Plan
 from link.context import FlightContext
 from link.handover import borders
-from link.preflight import Level, judge_performance
+from link.preflight import judge_performance
 from link.request import launch_problems
 from link.setpoints import SetpointStream
 from link.stream import Reference
@@ -54,7 +54,7 @@ def make_ready(document: Mapping[str, Any], context: FlightContext, values: Mapp
     reasons = _unfit(plan, context)
     reasons += [str(problem) for problem in launch_problems(plan, context.request)]
     for check in judge_performance(context.profile, values, plan):
-        if check.level is Level.FAILURE:
+        if check.blocks:
             reasons.append(f"{check.name}: {check.message}")
     if reasons:
         raise TransitionError("the new plan cannot be flown: " + "; ".join(reasons))

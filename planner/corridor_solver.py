@@ -16,7 +16,7 @@ from planner import rows
 from planner.corridor import Corridor
 from planner.corridor_program import Scale, build_program, feasibility_of, first_guess, guess_from, scale_of
 from planner.errors import SolverError
-from planner.interior_point import InteriorPointResult, Start, minimise_duration
+from planner.interior_point import CAREFUL, InteriorPointResult, Start, minimise_duration
 from planner.objective import Objective
 from planner.problem import Problem
 from planner.shooting import ShootingProblem
@@ -54,8 +54,8 @@ def solve_corridor(
 
     ``waypoints_m`` ``(K + 1, 3)`` has one point per joint, both ends included, each inside its joint's balls
     (`spread_waypoints` makes them). ``start_trajectory`` is a curve of degree up to 5 with as many pieces to start from
-    instead: a plan to refine, or to adapt to changed limits. If that leads nowhere, or the polyline flown at speed does
-    not, the polyline flown from rest to rest is tried.
+    instead: a plan to refine, or to adapt to changed limits. If that leads nowhere, the polyline flown at speed is tried,
+    briskly and then carefully, and at last the polyline flown from rest to rest.
 
     With ``energy_weight`` w, the time plus w times the integral of |a|^2 / a_max^2 + |v|^3 / v_max^3 is minimised: a
     vehicle that needs as much power again for full acceleration and for drag at full speed as it needs to stay aloft
@@ -113,8 +113,11 @@ def _starts(
     starts = []
     if trajectory is not None:
         starts.append(Start(*guess_from(program, scale, trajectory), barrier=1e-3, slack=1e-3))
-    starts.append(Start(*first_guess(problem, program, scale, waypoints_m), barrier=0.01, slack=1e-2))
-    starts.append(Start(*first_guess(problem, program, scale, waypoints_m, at_rest=True), barrier=0.2, slack=1e-2))
+    at_speed = first_guess(problem, program, scale, waypoints_m)
+    at_rest = first_guess(problem, program, scale, waypoints_m, at_rest=True)
+    starts.append(Start(*at_speed, barrier=0.01, slack=1e-2))
+    starts.append(Start(*at_speed, barrier=0.01, slack=1e-2, rule=CAREFUL))
+    starts.append(Start(*at_rest, barrier=0.2, slack=1e-2, rule=CAREFUL))
     return starts
 
 

@@ -28,11 +28,6 @@ _GAMMA = 1e-5
 _ARMIJO = 1e-4
 _SWITCH_OBJECTIVE = 2.3
 _SWITCH_VIOLATION = 1.1
-# Floor of the objective's evenness term: lower, and steps get lost in directions that change nothing.
-LEAST_EVENNESS = 5e-3
-# A barrier problem is solved to so many times its parameter, which then falls to that power of itself. Measured: a
-# closer solution or a slower fall costs steps and gains nothing.
-BARRIER_ACCURACY, BARRIER_POWER = 100.0, 1.8
 # So many steps that gain less than so much of the tolerance, relative to the objective, are the end.
 STALL_STEPS, STALL_GAIN = 5, 0.1
 
@@ -58,13 +53,31 @@ class _Trial(NamedTuple):
     inner: Array
 
 
+class BarrierRule(NamedTuple):
+    """A barrier problem is solved to ``accuracy`` times its parameter, which then falls to ``power`` of itself.
+
+    ``least_evenness`` is the floor of the objective's evenness term: lower, and steps get lost in directions that change
+    nothing.
+    """
+
+    accuracy: float
+    power: float
+    least_evenness: float
+
+
+# Measured on the missions of the paper's kind, `BRISK` takes a fifth fewer steps to the same plans; on hostile ones (ranges
+# and limits a thousandfold apart) it goes astray now and then, and `CAREFUL` does not.
+BRISK, CAREFUL = BarrierRule(100.0, 1.8, 5e-3), BarrierRule(10.0, 1.5, 1e-3)
+
+
 class Start(NamedTuple):
-    """A guess, the barrier's first parameter, and the smallest slack: the larger, the further from the boundary."""
+    """A guess, the barrier's first parameter, the smallest slack (the larger, the further from the boundary), a rule."""
 
     x: Array
     inner: Array
     barrier: float
     slack: float
+    rule: BarrierRule = BRISK
 
 
 def minimise_duration(
@@ -96,7 +109,7 @@ class _InteriorPoint:
         self, problem: ShootingProblem, objective: Objective, start: Start, tolerance: float, feasibility: float
     ) -> None:
         self.problem, self.x, self.inner = problem, start.x.copy(), start.inner.copy()
-        self.tolerance, self.feasibility = tolerance, feasibility
+        self.tolerance, self.feasibility, self.rule = tolerance, feasibility, start.rule
         self.smallest_barrier = tolerance / 10.0
         self.at = problem.evaluate(self.x, self.inner)
         self.slack = np.maximum(-self.at.inequalities, start.slack)
@@ -122,7 +135,7 @@ class _InteriorPoint:
         values: list[float] = []
         error = np.inf
         for self.iteration in range(max_iterations + 1):
-            self.objective = replace(self.objective, evenness=max(self.barrier, LEAST_EVENNESS))
+            self.objective = replace(self.objective, evenness=max(self.barrier, self.rule.least_evenness))
             system = NewtonSystem(self.problem, self.objective, self.at, self.multiplier, self.equation)
             gap = self.at.inequalities + self.slack
             dual = max(float(np.abs(system.gradient).max()), float(np.abs(system.inner_gradient).max()))
@@ -160,9 +173,9 @@ class _InteriorPoint:
         """Monotone rule: once the barrier problem is solved well enough for its parameter, go on to a smaller one."""
         barrier = self.barrier
         while barrier > self.smallest_barrier:
-            if max(residual, float(np.abs(complementarity - barrier / size).max())) >= BARRIER_ACCURACY * barrier:
+            if max(residual, float(np.abs(complementarity - barrier / size).max())) >= self.rule.accuracy * barrier:
                 break
-            barrier = max(self.smallest_barrier, min(0.2 * barrier, barrier**BARRIER_POWER))
+            barrier = max(self.smallest_barrier, min(0.2 * barrier, barrier**self.rule.power))
         if barrier < self.barrier:
             self._set_barrier(barrier)
 

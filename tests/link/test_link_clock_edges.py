@@ -208,6 +208,7 @@ def test_quantiles_of_nothing_of_little_and_of_the_last_bin() -> None:
     assert late.quantile_ms(0.5) == pytest.approx(0.3)
     late.add(4.0)
     assert late.quantile_ms(0.5) == 0.5
+    assert late.to_document()["p50_ms"] == 0.5
     assert late.quantile_ms(0.51) == 4000.0
     assert late.quantile_ms(1.0) == 4000.0
     assert late.to_document()["p99_ms"] == 4000.0

@@ -353,6 +353,9 @@ def test_a_repeated_setpoint_is_evidence_when_only_the_new_station_can_have_sent
     one.c.monitor.target = Target(9.8)
     assert one.step(after_s=0.02) is HandoverState.RELEASED
     assert one.bench.said(event="evidence")[0].data["reason"] == "its setpoint is held"
+    one.commands()
+    one.c.commander.step(one.c.now_s + 1.0)
+    assert one.commands() == []  # what was asked beside is no longer asked
 
 
 def test_what_was_repeated_before_control_moved_is_no_evidence() -> None:

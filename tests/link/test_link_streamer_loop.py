@@ -10,7 +10,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +81,10 @@ class Core:
         self.calls.append("take_outgoing")
         return [(s, f"{s} {len(self.ticks)}".encode()) for s in dict.fromkeys(self.request.links)]
 
+    def routes(self, station: str, frame: bytes) -> tuple[str, ...]:
+        assert frame.startswith(station.encode())
+        return tuple(self.request.urls[station])
+
     def tell(self) -> None:
         self.calls.append("tell")
 
@@ -89,7 +93,8 @@ class Core:
         events, self.events = self.events, []
         return events
 
-    def receive(self, station: str, data: bytes, now_s: float) -> None:
+    def receive(self, station: str, data: bytes, now_s: float, url: str) -> None:
+        assert url in self.request.urls[station]
         self.heard.append((station, data, now_s))
 
     def command(self, word: Word, **fields: Any) -> None:
@@ -174,6 +179,13 @@ def bench(tmp_path: Path, quiet_process: None) -> Iterator[Bench]:
     one.close()
 
 
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Wait for it, a while."""
+    deadline = time.monotonic() + 20.0
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.002)
+
+
 class Lines:
     """JSON lines of a socket."""
 
@@ -211,8 +223,12 @@ def test_it_serves_ticks_when_due_sends_each_frame_over_its_link_and_then_tells(
     again.close()
 
 
-def test_the_process_is_prepared_for_punctuality(bench: Bench) -> None:
+def test_the_process_is_prepared_for_punctuality(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[int] = []
+    monkeypatch.setattr(streamer_module.gc, "collect", lambda: looked.append(len(bench.core.ticks)))
+    assert bench.streamer.recorder._thread.daemon  # a fault must be able to end the process
     bench.streamer.run()
+    assert looked == [0]  # the collector's full look is taken before the first tick
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     assert gc.get_threshold() == (20_000, 20, 100_000)
     assert gc.get_freeze_count() > 0
@@ -285,8 +301,7 @@ def test_a_sped_up_flight_is_paced_by_the_vehicles_clock(tmp_path: Path, quiet_p
         one = bench.vehicle[bench.ports[0]]
         _, address = one.recvfrom(2048)
         one.sendto(b"1", address)
-        while not told:
-            time.sleep(0.002)
+        wait_for(lambda: bool(told))
         Context.monitor.position = type("Position", (), {"boot_s": 12.5})
         one.sendto(b"2", address)
 
@@ -416,13 +431,11 @@ def test_the_core_is_told_when_the_last_one_leaves_and_when_one_is_back(bench: B
         lines.next()
         first.close()
         lines._stream.close()
-        while not bench.core.attended:
-            time.sleep(0.002)
+        wait_for(lambda: bool(bench.core.attended))
         second = bench.client()
         second.sendall(b'{"id": 2, "status": true}\n')
         Lines(second).next()
-        while len(bench.core.attended) < 2:
-            time.sleep(0.002)
+        wait_for(lambda: len(bench.core.attended) > 1)
         bench.core.state, bench.core.last = FlightState.CONTINGENCY, 0
         second.close()
 

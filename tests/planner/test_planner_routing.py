@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from itertools import pairwise
 
@@ -203,6 +204,24 @@ def test_ten_thousand_stations(overlap_s: float) -> None:
         assert polyline_length_m(straight) <= bound.length_m * (1.0 + 1e-3)
     else:
         assert route.estimate_s >= bound.time_s - 10.0
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("count", [10_000, 100_000])
+@pytest.mark.parametrize("overlap_s", [0.0, 5.0])
+def test_routing_at_scale(count: int, overlap_s: float) -> None:
+    """Figures for docs/planner.md, as seconds of processor time; maps of the same density as that of 10,000 above."""
+    problem = random_problem(7, count, 125_000.0 * np.sqrt(count / 10_000), min_overlap_s=overlap_s)
+    began = time.process_time()
+    bound = lower_bound(problem)
+    bounded = time.process_time()
+    routes = candidate_routes(problem, 9 if overlap_s else 1, bound=bound)
+    routed = time.process_time()
+    length = polyline_length_m(polyline_along(problem, routes[0].sequence)[0])
+    times = f"bound {bounded - began:.2f} s, {len(routes)} routes {routed - bounded:.2f} s"
+    print(f"{count} stations, overlap {overlap_s:g} s: {times}")
+    assert is_chain(problem, routes[0].sequence)
+    assert bound.length_m * (1.0 - 1e-9) <= length <= bound.length_m * (1.001 if overlap_s == 0.0 else 1.1)
 
 
 def test_routing_does_not_depend_on_the_order_of_stations() -> None:
