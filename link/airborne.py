@@ -2,10 +2,8 @@
 
 One handler a state, called once a tick; each moves the reference, lets the handover ahead act, and sends one setpoint
 through the gate. The flight never runs beyond what is proved: until the next station is ready, or up to the time
-authorised, the reference meets a limit on the path and brakes before it (`link.stream`). When the link of the station
-in control fails where a neighbour covers the vehicle too, and is proved, the neighbour takes over before the autopilot
-acts. When the stream may have been missed for longer than the autopilot tolerates, or the vehicle left the mode or
-restarted, the flight has lapsed (`link.lapse`).
+authorised, the reference meets a limit on the path and brakes before it (`link.stream`). Whether the vehicle is still
+ours is judged every tick (`link.custody`); when it is not, the flight has lapsed (`link.lapse`).
 
 The contingency flown is the plan's: a diversion where the whole straight way lies in the range of the station in
 control, else back along the path flown, handing over backwards, to land at the start.
@@ -17,9 +15,11 @@ import math
 
 from gcs.flight import EventKind, FlightState, TransitionError
 from link.context import FlightContext
+from link.custody import Custody
+from link.landing import Landing
 from link.lapse import Lapse
 from link.launch import Launch
-from link.relay import TAKEOVER_SHARE, Relay
+from link.relay import Relay
 from link.replan import STANDING_M, NextPlan, time_and_leg
 from link.setpoints import SetpointStream
 from link.stream import Reference, StraightLine
@@ -28,19 +28,10 @@ from link.way_out import over_safe_point, way_out
 
 Vector = tuple[float, float, float]
 
-MODE_SETTLE_S = 0.5
-"""After a mode was confirmed, HEARTBEATs from before it may still be on their way."""
-LAPSE_SHARE = 0.95
-"""Of the autopilot's time-out: unproved for so long, the stream counts as lapsed."""
-STRANGE_LAPSE_S, STRANGE_OFF_M = 1.5, 10.0
-"""Nothing but strange targets for so long, and so far off its reference: the vehicle does not fly our setpoints."""
-GROUNDED_S = 3.0
 NOT_FOLLOWING_S = 10.0
 ARRIVED_M = 1.5
 SLOW_M_S = 0.7
 SETTLE_WAIT_S = 20.0
-REASK_S = 1.5
-LANDED_WAIT_S = 1800.0
 AT_LIMIT_M = 0.5
 """Standing this close before a limit is standing at it."""
 AT_PLACE_M = 0.005
@@ -61,7 +52,9 @@ class Airborne:
         self.lag = LagMonitor(context, self.lead)
         self.uplink = UplinkMonitor(context)
         self.range = RangeWatch(context)
+        self.custody = Custody(context, launch, self.relay, self.lag, self.uplink, self.range)
         self.lapse = Lapse(context, self.relay, self.stream)
+        self.landing = Landing(context)
         self.attended = True
         until_s = context.request.authorised_until_s
         self.authorised_until_s = math.inf if until_s is None else until_s
@@ -76,15 +69,9 @@ class Airborne:
         self._since_s = 0.0
         self._held_state = FlightState.CRUISE
         self._join_s = 0.0
-        self._mode_s = -math.inf
-        self._reboots = 0
-        self._asked_s = -math.inf
         self._divert_to: Vector | None = None
-        self._grounded_s = math.inf
         self._leave_for: tuple[float, str] | None = None
         self._at_limit = False
-        self._landing_as = FlightState.COMPLETED
-        self._landing_seen = False
         self._upcoming: tuple[NextPlan, float, float] | None = None
         """A plan to go on by from rest, its time then, and the time of the present plan to go back to first."""
 
@@ -113,8 +100,8 @@ class Airborne:
         )
         self._join_s = time_s
         self.reference, self.line = Reference(line, accel_m_s2=min(1.5, self._accel)), "transit"
-        self._reboots = c.monitor.reboots
-        self._mode_s = c.last_setpoint_s = c.now_s
+        c.last_setpoint_s = c.now_s
+        self.custody.begin()
         self.uplink.restart()
         self.lag.forget()
         self._become(FlightState.TRANSIT, reason)
@@ -187,63 +174,23 @@ class Airborne:
 
     def _still_ours(self) -> bool:
         """Whether the vehicle follows our stream as far as can be known; False after acting on it not doing so."""
-        c, heartbeat = self._c, self._c.monitor.heartbeat
-        fresh = heartbeat is not None and heartbeat.heard_s > self._mode_s + MODE_SETTLE_S
-        if fresh and not c.armed:
-            if c.state is not FlightState.LANDING:
-                c.alarm("disarmed in flight")
-                ended = FlightState.CONTINGENCY if c.on_ground else FlightState.LOST
-                self._become(ended, "the vehicle disarmed by itself")
-                return False
+        loss = self.custody.judge(self.reference.time_s, on_plan=not self.line, landing=self.landing.seen)
+        if loss is None:
             return True
-        if c.state is FlightState.LANDING and self._landing_seen:
-            return True
-        if c.monitor.reboots != self._reboots:
-            return self._lapse("the autopilot restarted", pin=False)
-        limit_s = LAPSE_SHARE * self._launch.loss_timeout_s
-        gap_s = c.now_s - c.last_setpoint_s
-        if gap_s > limit_s:
-            return self._lapse(f"no setpoint was sent for {gap_s:.2f} s", pin=True)
-        if c.adopt_origin(c.fence.station_id):
-            c.alarm("EKF origin moved")
-        if fresh and not c.follows and c.state is not FlightState.LANDING:
-            return self._lapse(f"the vehicle left {c.profile.offboard_mode} for {c.mode}", pin=False)
-        strange_s = max(STRANGE_LAPSE_S, self._launch.loss_timeout_s)
-        if self.uplink.strange_for_s > strange_s and self.lag.off_m > STRANGE_OFF_M:
-            return self._lapse("the vehicle flies a target that is not ours", pin=True)
-        if not self._in_the_air():
-            return False
-        if self.range.left and not self.line:
-            self.relay.take_over(self.reference.time_s, f"the vehicle is out of range of {c.gate.holder}")
-        age_s = self.uplink.age_s
-        if age_s > TAKEOVER_SHARE * self._launch.loss_timeout_s and not self.line:
-            self.relay.take_over(self.reference.time_s, f"link of {c.gate.holder} unproved for {age_s:.2f} s")
-        if age_s > limit_s:
-            return self._lapse(f"nothing proved the link of {c.gate.holder} for {age_s:.2f} s", pin=True)
-        return True
-
-    def _in_the_air(self) -> bool:
-        """False, and the end, when the vehicle has been on the ground for a while, still armed."""
-        c = self._c
-        if not c.on_ground or c.state is FlightState.LANDING:
-            self._grounded_s = math.inf
-            return True
-        self._grounded_s = min(self._grounded_s, c.now_s)
-        if c.now_s - self._grounded_s < GROUNDED_S:
-            return True
-        c.alarm("the vehicle is on the ground")
-        self._become(FlightState.LOST, "the vehicle is on the ground, armed, and not where it should be")
+        if loss.ended is not None:
+            self._become(loss.ended, loss.reason)
+        else:
+            self._lapse(loss.reason, pin=loss.pin)
         return False
 
-    def _lapse(self, reason: str, *, pin: bool) -> bool:
-        """Fall silent. Always False."""
+    def _lapse(self, reason: str, *, pin: bool) -> None:
+        """Fall silent."""
         self._c.alarm("lapse", reason=reason)
         self._upcoming = None
         self.relay.forget()
         self.lag.forget()
         self.lapse.begin(self.reference.time_s if not self.line else self._join_s, pin=pin)
         self._become(FlightState.LAPSED, reason)
-        return False
 
     def _lapsed(self) -> None:
         join_s = self.lapse.tick()
@@ -375,24 +322,18 @@ class Airborne:
     # -- landing ------------------------------------------------------------------------------------------------------
 
     def _land(self, outcome: FlightState, reason: str) -> None:
-        self._landing_as, self._landing_seen, self._asked_s = outcome, False, -math.inf
+        self.landing.begin(outcome)
         self._become(FlightState.LANDING, reason)
 
     def _landing(self, dt_s: float) -> None:
-        c, heartbeat = self._c, self._c.monitor.heartbeat
-        if heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > self._since_s:
-            self._become(self._landing_as, "landed and disarmed")
+        if self.landing.down:
+            self._become(self.landing.outcome, "landed and disarmed")
             return
-        lands = c.mode == c.profile.land_mode
-        self._landing_seen = self._landing_seen or lands
-        if not lands and c.now_s - self._asked_s >= REASK_S:
-            self._asked_s = c.now_s
-            c.start_mode(c.profile.land_mode)
-        if not self._landing_seen:
+        self.landing.ask()
+        if not self.landing.seen:
             # Until it shows LAND the vehicle must not miss us.
             self._along_line(dt_s, 0.0)
-        silent_s = c.now_s - c.monitor.last_heard_s()
-        if silent_s > c.request.lost_after_s or c.now_s - self._since_s > LANDED_WAIT_S:
+        if self.landing.overdue:
             self._become(FlightState.LOST, "no landing was seen")
 
     # -- ways out -----------------------------------------------------------------------------------------------------

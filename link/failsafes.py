@@ -106,7 +106,7 @@ def _rules_px4(least_s: float, values: Values) -> list[Rule]:
             "position_error_limit",
             lambda v: 0.0 < v <= 100.0,
             "more than 0, up to 100 m",
-            "error from which the vehicle itself doubts its position; without it, it does not",
+            "from which position error on the vehicle acts by itself",
             level=Level.WARNING,
             optional=True,
         ),
@@ -245,7 +245,8 @@ def _judge(rule: Rule, parameter: Parameter) -> Check:
     finite = math.isfinite(value)
     remedy = None if rule.fix is None else (name, rule.fix(value if finite else 0.0))
     fix = "" if remedy is not None else f"look at {name}: it is for the crew to decide"
-    return Check(name, rule.level, f"unsafe: {rule.why}", value if finite else str(value), rule.required, remedy, fix)
+    word = "unsafe" if rule.level >= Level.FAILURE else "not advisable"
+    return Check(name, rule.level, f"{word}: {rule.why}", value if finite else str(value), rule.required, remedy, fix)
 
 
 def _together_px4(values: Values) -> list[Check]:

@@ -38,6 +38,7 @@ from link.preflight import (
     judge_vehicle,
     return_rules,
 )
+from link.preflight_route import judge_lowest, judge_stops
 from link.relay import attempt_time_s
 from link.steps import Refused, Steps, answered, wait_until
 from link.takeoff import TakeOff
@@ -196,6 +197,8 @@ class Launch:
         assert position is not None
         self.ground_amsl_m = position[2] + c.plan.plane.alt_amsl_m
         checks += judge_place(c.plan, position, self.ground_amsl_m, c.request)
+        checks.append(judge_lowest(c.plan, self.ground_amsl_m))
+        checks += judge_stops(c.plan, self._loss_timeout_s())
         checks += judge_limits(c.profile, self.values, c.plan, position)
         checks += yield from self._judge_links()
         if not any(check.blocks for check in checks):
@@ -204,10 +207,14 @@ class Launch:
         if worst(checks) >= Level.FAILURE:
             yield from self.restore()
             raise Refused("preflight: " + "; ".join(_said(check) for check in worst_first(checks) if check.blocks))
-        timeout = self.values.get("offboard_loss_timeout")
-        self.loss_timeout_s = float(timeout.value) if timeout is not None else 1.0
+        self.loss_timeout_s = self._loss_timeout_s()
         self.preflight_s = c.now_s
         c.become(FlightState.READY, "preflight passed")
+
+    def _loss_timeout_s(self) -> float:
+        """How long the autopilot goes without setpoints, by what was read of it."""
+        timeout = self.values.get("offboard_loss_timeout")
+        return 1.0 if timeout is None else float(timeout.value)
 
     def _tell(self, checks: list[Check]) -> None:
         self.checks = checks
@@ -282,8 +289,7 @@ class Launch:
         yield from wait_until(
             c, lambda: all(link.quality(c.now_s) is not None for link in c.monitor.links.values()), QUALITY_WAIT_S
         )
-        timeout = self.values.get("offboard_loss_timeout")
-        attempt_s = attempt_time_s(c.request, 1.0 if timeout is None else float(timeout.value))
+        attempt_s = attempt_time_s(c.request, self._loss_timeout_s())
         checks: list[Check] = []
         for station in dict.fromkeys(c.plan.station_ids):
             link, urls = c.monitor.links[station], c.request.urls[station]

@@ -60,7 +60,8 @@ class FlightView:
         if t_plus_s is None:
             parts.append(state)
         else:
-            parts.append(f"T+ {clock(t_plus_s)} of {clock(self._plan_time_s)}")
+            whole = f" of {clock(self._plan_time_s)}" if t_plus_s <= self._plan_time_s else ""
+            parts.append(f"T+ {clock(t_plus_s)}{whole}")
             if state != "cruise":
                 parts.append(state)
         if data.get("speed_m_s") is not None:
@@ -101,7 +102,9 @@ class FlightView:
         if kind == "replanned":
             return f"a new plan is flown, {clock(data['mission_time_s'])} in all"
         if kind == "parameter":
-            return f"parameter {data['name']}: {data['before']} set to {data['after']}"
+            was = "" if data["before"] is None else f", was {data['before']}"
+            done = "could not be set" if data["after"] is None else f"set to {data['after']}"
+            return f"parameter {data['name']} {done}{was}"
         if kind == "text":
             return f"vehicle says: {data['text']}"
         if kind == "word":

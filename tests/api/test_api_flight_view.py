@@ -64,3 +64,27 @@ def test_the_end_names_every_reason_with_its_remedy_in_terms_of_the_command(caps
     assert "a simulator is put there with --home 52.95" in block
     assert block.count("where:") == 3
     assert "mend it" in block
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        (0, 5, "parameter COM_OBL_RC_ACT set to 5, was 0"),
+        (0, None, "parameter COM_OBL_RC_ACT could not be set, was 0"),
+        (None, 0, "parameter COM_OBL_RC_ACT set to 0"),
+    ],
+)
+def test_a_parameter_that_was_changed_says_from_what(
+    before: int | None, after: int | None, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view = FlightView(relay_plan(), Progress())
+    view.show("parameter", None, "preflight", {"name": "COM_OBL_RC_ACT", "before": before, "after": after})
+    assert capsys.readouterr().err.strip() == told
+
+
+def test_past_the_plans_end_the_time_is_not_told_as_a_part_of_it() -> None:
+    plan = relay_plan()
+    view = FlightView(plan, Progress())
+    assert " of 0:0" in view.where(1.0, "cruise", {"station": "s1"})
+    assert view.where(plan.mission_time_s + 8.0, "landing", {"station": "s3"}).endswith(", landing")
+    assert " of " not in view.where(plan.mission_time_s + 8.0, "landing", {"station": "s3"})
