@@ -32,6 +32,7 @@ NOT_FOLLOWING_S = 10.0
 ARRIVED_M = 1.5
 SLOW_M_S = 0.7
 SETTLE_WAIT_S = 20.0
+BLIND = "the vehicle's position is not heard"
 AT_LIMIT_M = 0.5
 """Standing this close before a limit is standing at it."""
 AT_PLACE_M = 0.005
@@ -170,6 +171,11 @@ class Airborne:
             return False
         return tracking.error_m <= ARRIVED_M and position.speed_m_s <= SLOW_M_S
 
+    @property
+    def _there(self) -> bool:
+        """At the end of a way out, as far as can be known: a vehicle that does not tell its place lands where it is."""
+        return self._settled or self.lag.blind
+
     # -- is it still ours ---------------------------------------------------------------------------------------------
 
     def _still_ours(self) -> bool:
@@ -219,7 +225,10 @@ class Airborne:
 
     def _cruise(self, dt_s: float) -> None:
         rate = self._keep_up()
-        if self.lag.lost:
+        if self.lag.blind:
+            self._c.alarm(BLIND)
+            self._hold(BLIND)
+        elif self.lag.lost:
             self._hold("the vehicle does not follow")
         self._along_plan(dt_s, rate if self._c.state is FlightState.CRUISE else 0.0)
         if self._c.state is not FlightState.CRUISE:
@@ -243,6 +252,9 @@ class Airborne:
         c = self._c
         if self._upcoming is not None:
             self._go_back(dt_s)
+            return
+        if self.held_for == BLIND and not self.lag.blind:
+            self._become(self._held_state, "its position is heard again")
             return
         waiting = self.held_for.startswith("waiting")
         backwards = self._held_state is FlightState.RETURNING
@@ -286,7 +298,7 @@ class Airborne:
     def _returning(self, dt_s: float) -> None:
         if self.line:
             self._along_line(dt_s, self._keep_up())
-            if self.reference.finished and self._settled:
+            if self.reference.finished and self._there:
                 self._land(FlightState.CONTINGENCY, "over the safe point")
             return
         if self.lag.lost_for_s > NOT_FOLLOWING_S:
@@ -299,7 +311,7 @@ class Airborne:
                 self._begin_diversion(self._divert_to)
             return
         self._along_plan(dt_s, -max(self._keep_up(), CREEP), backwards=True)
-        if self.reference.time_s <= 0.0 and self._settled:
+        if self.reference.time_s <= 0.0 and self._there:
             self._land(FlightState.CONTINGENCY, "back at the start")
         elif self._leave_for is not None and self.reference.time_s <= self._leave_for[0]:
             # Where the way to a safe point leaves the path; on along the path where it is not covered from here.

@@ -210,7 +210,8 @@ class VehicleMonitor:
         self.heartbeat = Heartbeat(now_s, m.autopilot, m.type, m.base_mode, m.custom_mode, m.system_status)
 
     def _on_global_position(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        if not fresh or (self.position is not None and m.time_boot_ms * 1e-3 <= self.position.boot_s):
+        # Later than other messages is not too late: a place is judged by its own stamp.
+        if self.position is not None and m.time_boot_ms * 1e-3 <= self.position.boot_s:
             return
         self.position = Position(
             m.time_boot_ms * 1e-3,

@@ -21,6 +21,10 @@ LAG_START_M = 5.0
 """Lag, beyond what the link's delay explains, from which the reference slows down."""
 LAG_GIVE_UP_M = 60.0
 """Error at which the flight is held: the vehicle is not following."""
+BLIND_S = 5.0
+"""So long without a position that can be judged, the vehicle is flown blind. Sped up beyond `BLIND_SPEEDUP`, as long on
+the wall's clock as at that: what counts there is how this machine keeps up."""
+BLIND_SPEEDUP = 5.0
 LAG_TIME_S = 3.0
 """Time in which the lag is worked off."""
 STRANGE_M = 5.0
@@ -60,6 +64,7 @@ class LagMonitor:
         self._lead = lead
         self._sent: deque[tuple[float, Setpoint]] = deque(maxlen=600)
         self._boot_s = -math.inf
+        self._judged_s = context.now_s
         self.tracking: Tracking | None = None
         self.worst_m = 0.0
         self._squares = 0.0
@@ -78,6 +83,7 @@ class LagMonitor:
     def forget(self) -> None:
         """Start anew: the stream was interrupted."""
         self._sent.clear()
+        self._judged_s = self._c.now_s
         self.tracking = self._lost_since_s = None
 
     def update(self) -> None:
@@ -105,6 +111,7 @@ class LagMonitor:
         else:
             behind, beside, flown = 0.0, float(np.linalg.norm(off)), 0.0
         error = float(np.linalg.norm(off))
+        self._judged_s = self._c.now_s
         self.tracking = Tracking(time_s, error, behind, beside, flown)
         if not self.lost:
             self._lost_since_s = None
@@ -147,6 +154,12 @@ class LagMonitor:
     def lost(self) -> bool:
         """Whether the vehicle is so far off that it does not follow at all."""
         return self.off_m > LAG_GIVE_UP_M
+
+    @property
+    def blind(self) -> bool:
+        """Whether nothing has been known of the vehicle's place for too long."""
+        patience_s = BLIND_S * max(1.0, self._c.request.speedup / BLIND_SPEEDUP)
+        return self._c.now_s - self._judged_s > patience_s
 
     @property
     def lost_for_s(self) -> float:

@@ -26,6 +26,7 @@ COMPLETED, CONTINGENCY, REFUSED, LOST, LAPSED = "completed", "contingency", "ref
 STRANGE = "the vehicle holds a target that is not ours"
 BEHIND = "the vehicle falls behind"
 LAPSE = "lapse"
+BLIND = "the vehicle's position is not heard"
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ ROWS: tuple[Row, ...] = (
     both("heartbeat-critical", COMPLETED, "the autopilot's own judgement moves its own failsafe, not us"),
     both("heartbeat-wrong-autopilot", REFUSED, "setpoints in the wrong frame would be flown elsewhere"),
     both("other-vehicle", COMPLETED, "another system id is another vehicle"),
-    both("position-loss", COMPLETED, "10 s: the echoed setpoints show that it is followed"),
+    both("position-loss", COMPLETED, "10 s: after five it is held, and goes on when its place is known again", BLIND),
     both(
         "position-stuck", (CONTINGENCY, LOST), "it seems to stand while we go on: held, then the autopilot's own return"
     ),
@@ -126,7 +127,7 @@ ROWS: tuple[Row, ...] = (
         "echo-stuck", COMPLETED, "somebody else's target would look like that: told; it follows, so flown on", STRANGE
     ),
     both("clock-jump", COMPLETED, "forward: no reboot; tracking is judged by the new clock"),
-    both("clock-stuck", COMPLETED, "without a clock no tracking; echoes and probes still prove the stream"),
+    both("clock-stuck", CONTINGENCY, "without a clock no place can be judged: held, then back along the path", BLIND),
     both("text-flood", COMPLETED, "texts wait until the tick's setpoint is out"),
     both("text-rubbish", COMPLETED, "a text that is none is no reason to stop"),
     both("home-unknown", COMPLETED, "nothing we send refers to home"),
