@@ -76,8 +76,12 @@ def range_to_meet_m(problem: Problem, station: Indices, other: Indices, depth_m:
     grid = np.linspace(0.0, 1.0, 17)
     for _ in range(12):
         altitude = low + grid * (high - low)
-        width = np.maximum(distance + depth_m - disc_radius_m(problem, other[..., None], altitude), depth_m)
+        radius = disc_radius_m(problem, other[..., None], altitude)
+        width = np.maximum(distance + depth_m - radius, depth_m)
         reach = np.hypot(altitude - height, width)
+        # Where the other's disc is thinner than the lens is to be deep, no range will do.
+        thin = 2.0 * radius < depth_m
+        reach = np.where(thin & ~thin.all(axis=-1, keepdims=True), np.inf, reach)
         if problem.min_elevation_deg is not None:
             angle = problem.min_elevation_deg[station][..., None]
             cone = cotangent(problem)[station][..., None]

@@ -56,8 +56,8 @@ class _Trial(NamedTuple):
 class BarrierRule(NamedTuple):
     """A barrier problem is solved to ``accuracy`` times its parameter, which then falls to ``power`` of itself.
 
-    ``least_evenness`` is the floor of the objective's evenness term: lower, and steps get lost in directions that change
-    nothing.
+    ``least_evenness`` is the floor of the objective's evenness term: lower, and steps get lost in directions that
+    change nothing.
     """
 
     accuracy: float
@@ -65,13 +65,13 @@ class BarrierRule(NamedTuple):
     least_evenness: float
 
 
-# Measured on the missions of the paper's kind, `BRISK` takes a fifth fewer steps to the same plans; on hostile ones (ranges
-# and limits a thousandfold apart) it goes astray now and then, and `CAREFUL` does not.
+# On missions of the paper's kind `BRISK` takes a fifth fewer steps to the same plans; on hostile ones (ranges and
+# limits a thousandfold apart) it goes astray now and then, and `CAREFUL` does not.
 BRISK, CAREFUL = BarrierRule(100.0, 1.8, 5e-3), BarrierRule(10.0, 1.5, 1e-3)
 
 
 class Start(NamedTuple):
-    """A guess, the barrier's first parameter, the smallest slack (the larger, the further from the boundary), a rule."""
+    """A guess, the barrier's first parameter, the least slack (the larger, the further from the boundary), the rule."""
 
     x: Array
     inner: Array

@@ -70,6 +70,9 @@ def lens_altitude_m(problem: Problem, i: int | Indices, j: int | Indices) -> Arr
     height, reach = problem.station_positions_m[:, 2], np.maximum(problem.ranges_m, 1e-9)
     # The maximum of two circles' radii is where both make the same angle: on the line between the antennas.
     candidates = [(height[i] * reach[j] + height[j] * reach[i]) / (reach[i] + reach[j]), height[i], height[j]]
+    # One disc inside the other: the smaller is widest where both are as wide, in the spheres' radical plane.
+    apart = np.where(np.abs(height[i] - height[j]) < 1e-6, 1.0, height[j] - height[i])
+    candidates.append(0.5 * ((reach[i] ** 2 - reach[j] ** 2) / apart + height[i] + height[j]))
     if problem.min_elevation_deg is not None:
         # Circle against cone, the corners of each, and the ends: the sum is concave, so one of these is the maximum.
         angle = np.radians(np.maximum(problem.min_elevation_deg, 0.0))
