@@ -38,7 +38,9 @@ from link.telemetry import EchoTracker, VehicleMonitor
 
 __all__ = ["FlightCore", "FlightRequest"]
 
-HEARTBEAT_S = 1.0
+HEARTBEAT_S = 0.5
+"""Twice as often as is usual: ArduPilot returns after 5 s without one, which at 10 % loss would come once in 30 hours
+with one a second (of 5 in a row each lost), and at 30 % once in 10 minutes."""
 PROBE_S = 1.0
 GROUND_PROBE_S = 0.25
 FAST_PROBE_S = 0.1

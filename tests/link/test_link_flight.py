@@ -219,7 +219,7 @@ def test_heartbeats_and_control_come_from_the_station_in_control_alone_and_end_w
         if kind != "TIMESYNC" and not moving and not on_ground:
             assert station == holder, f"{kind} at {time_s}"
     beats = [t for t, _, _, m in one.sent_messages("HEARTBEAT") if t > airborne]
-    assert max(b - a for a, b in pairwise(beats)) <= 1.1
+    assert max(b - a for a, b in pairwise(beats)) <= 0.6
     one.run_for(10.0)
     assert one.sent[-1][0] <= one.said("result")[0].time_s
 

@@ -15,6 +15,7 @@ SAMPLE = (
     "ack-repeated",
     "mode-without-effect",
     "uplink-loss",
+    "uplink-loss-share",
     "stranger-returns",
     "net-bad",
     "net-dead-in-flight",
