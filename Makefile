@@ -26,10 +26,10 @@ check: setup
 	$(BIN)/pytest -q tests/test_house.py
 
 quick: setup
-	$(BIN)/pytest -q -n $(JOBS) -m "not slow and not soak"
+	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "not slow and not soak"
 
 test: check
-	$(BIN)/pytest -n $(JOBS) -m "not soak"
+	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "not soak"
 
 soak: setup
 	$(BIN)/pytest -m soak --timeout 0

@@ -17,7 +17,7 @@ from typing import Any
 
 from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word, check_word
 from link.airborne import Airborne
-from link.carrier import FAILOVER_S, IDLE_FAILOVER_S
+from link.carrier import FAILOVER_S, IDLE_FAILOVER_S, Carrier
 from link.clock import Lateness, TickGrid, UtcScale
 from link.codec import StationCodec
 from link.commands import Commander
@@ -117,7 +117,7 @@ class FlightCore:
         self._procedure: Steps[None] | None = self.launch.run()
         self._restoring: Steps[None] | None = None
         self._streams: Steps[None] | None = None
-        self._streams_leg = 0
+        self._streamed: tuple[int, Carrier] | None = None
         self._beat: dict[str, float] = {}
         self._probed: dict[str, float] = {}
         self._near: set[str | None] = set()
@@ -261,11 +261,13 @@ class FlightCore:
         }
 
     def _ask_for_telemetry(self) -> None:
-        """After a handover the new station asks for what the flight is watched by, on its own link."""
+        """The station in control asks for what the flight is watched by, on every link that has come to send."""
         relay = self.airborne.relay
-        if relay.leg != self._streams_leg and not relay.moving:
-            self._streams_leg = relay.leg
-            self._streams = self.launch.request_streams()
+        sends = self.context.monitor.links[self.context.plan.station_ids[relay.leg]].active
+        if (relay.leg, sends) != self._streamed and not relay.moving:
+            if self._streamed is not None:
+                self._streams = self.launch.request_streams()
+            self._streamed = (relay.leg, sends)
         if self._streams is not None and not relay.moving:
             try:
                 next(self._streams)

@@ -20,6 +20,16 @@ settings.load_profile("skyrelay")
 REQUIRE_ALL = os.environ.get("REQUIRE_ALL") == "1"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first: a flight in real time at the end would leave the other processes idle."""
+
+    def shortness(item: pytest.Item) -> tuple[bool, float]:
+        allowed = item.get_closest_marker("timeout")
+        return item.get_closest_marker("slow") is None, -float(allowed.args[0] if allowed else 0.0)
+
+    items.sort(key=shortness)
+
+
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]

@@ -86,7 +86,7 @@ def test_a_dead_way_of_a_station_is_left_for_its_other_one_before_anything_is_mi
 
 
 def test_links_are_told_with_loss_latency_and_jitter() -> None:
-    proxy = Proxy(seed=2, loss=0.1, latency_s=0.05, jitter_s=0.02, later_s={"s1/2": 0.2})
+    proxy = Proxy(seed=4, loss=0.1, latency_s=0.05, jitter_s=0.02, later_s={"s1/2": 0.2})
     one = VirtualFlight(relay_plan(2), "px4", proxy=proxy, ways=2)
     one.run(until=lambda: one.plan_s >= 6.0, limit_s=100.0)
     first, second = one.core.status()["links"]["s1"]["ways"]
