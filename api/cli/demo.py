@@ -155,7 +155,9 @@ def _attempt(plan: Plan, children: Children, pace: Pace, log: str) -> tuple[Flig
     request = fly.request_of(
         plan, links=links, autopilot=AUTOPILOT, rate_hz=pace.rate_hz, speedup=pace.speedup, log_path=log
     )
-    with Progress(every_s=3.0, to_stdout=True) as progress:
+    # A station's time in control must not fall between two lines: about twenty for a flight, one a second at most.
+    wall_s = plan.mission_time_s / pace.speedup
+    with Progress(every_s=min(3.0, max(1.0, wall_s / 20.0)), to_stdout=True) as progress:
         result = fly.run(plan, request, progress)
     child.stop()
     children.forget(child)
