@@ -45,9 +45,7 @@ def test_wadden_in_virtual_time(autopilot: str) -> None:
     """140 km over the Wadden Sea: every handover as planned, the true place by PROJ's own formulas, always in range."""
     plan = plan_of("wadden_relay.json")
     rate_hz = 10.0
-    flight = VirtualFlight(
-        plan, autopilot, request={"rate_hz": rate_hz}, config={"tick_s": 0.025}, frugal=True, truth_every_s=2.0
-    )
+    flight = VirtualFlight(plan, autopilot, request={"rate_hz": rate_hz}, frugal=True, truth_every_s=2.0)
     assert flight.run() is FlightState.COMPLETED
     one_station_at_a_time(flight)
     released = flight.said("handover", state="released")
