@@ -147,7 +147,7 @@ def test_hold_shifts_the_schedule_and_abort_ends_in_a_contingency(
         time.sleep(1.0)  # ten seconds of the vehicle's
         assert client.post(f"{address}/resume").status_code == 200
         flown = wait_for(client, flight["id"], "cruise")
-        until = time.monotonic() + 20
+        until = time.monotonic() + 90
         while flown["live"]["shift_s"] < 5.0 and time.monotonic() < until:
             flown = client.get(address).json()
             time.sleep(0.05)
@@ -167,7 +167,7 @@ def test_a_new_plan_is_proposed_accepted_and_flown(client: httpx.Client, planned
         assert launch(client, wait_for(client, flight["id"], "ready")).status_code == 200
         wait_for(client, flight["id"], "cruise")
         assert client.post(f"{address}/hold").status_code == 200
-        until = time.monotonic() + 20
+        until = time.monotonic() + 90
         while time.monotonic() < until:
             # Refused while it is coming to a stop.
             answer = client.post(f"{address}/replan", json={"destination": {"east_m": 0, "north_m": 0, "up_m": 110}})
