@@ -216,6 +216,10 @@ class Injector(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType | None:
         return None
 
+    def get_code(self, name: str) -> CodeType:
+        """For `runpy`, which runs a module as a program."""
+        return self._code
+
     def exec_module(self, module: ModuleType) -> None:
         module.__file__ = str(self._path)
         exec(self._code, module.__dict__)
@@ -253,7 +257,9 @@ def outcome(module: str, path: Path, code: CodeType, tests: tuple[str, ...]) -> 
 
             options = ["-x", "-q", "--no-header", "-p", "no:cacheprovider"]
             options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
-            result = int(pytest.main([*options, "-m", "not slow and not soak", "-k", f"not ({' or '.join(NOT_RUN)})", *tests]))
+            result = int(
+                pytest.main([*options, "-m", "not slow and not soak", "-k", f"not ({' or '.join(NOT_RUN)})", *tests])
+            )
         except BaseException:
             traceback.print_exc()
         finally:
