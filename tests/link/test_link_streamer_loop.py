@@ -660,8 +660,9 @@ def test_links_of_a_refused_flight_are_closed_again(tmp_path: Path) -> None:
     stations = list(dict.fromkeys(relay_plan(2).station_ids))
     links = dict(zip(stations, [f"udpin:127.0.0.1:{port}", "udpout:no-such-host.invalid:1"], strict=True))
     request = FlightRequest(plan=relay_plan(2).to_document(), autopilot="px4", links=links)
-    with pytest.raises(EndpointError):
+    with pytest.raises(EndpointError) as refusal:
         open_links(request)
+    assert refusal.tb  # what the refusal still knows of keeps no link open
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", port))  # free again
 
