@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -155,3 +156,14 @@ def test_a_closed_store_lets_go_of_its_file(tmp_path: Path) -> None:
     again = SigningStore.open(path)
     assert (again.own_stamp, again.last_stamp((1, 1, 1)), again.last_stamp((2, 1, 1))) == (0, 7, None)
     again.close()
+
+
+def test_stamps_kept_by_an_earlier_version_are_understood(tmp_path: Path) -> None:
+    """The layout of the file, word by word: a magic number, our own stamp, then marks and stamps of streams."""
+    words = [0x314E474953594B53, 1000, 0x01070201, 2000, 0x01FF0A9A, 3000]
+    path = tmp_path / "a.stamps"
+    path.write_bytes(b"".join(word.to_bytes(8, sys.byteorder) for word in words).ljust(4096, b"\0"))
+    store = SigningStore.open(path)
+    assert store.own_stamp == 1000
+    assert [store.last_stamp(stream) for stream in ((7, 2, 1), (255, 10, 154))] == [2000, 3000]
+    store.close()
