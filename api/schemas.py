@@ -455,7 +455,9 @@ class ReplanProposal(Closed):
     """A plan the flight could go on by. Nothing has changed until it is accepted.
 
     ``join_s`` is the time of the new plan from which it is new; it must be accepted before ``decide_by_t_plus_s``
-    (null: the flight stands and waits). ``handovers`` are those to come, with the T+ expected.
+    (null: the flight stands and waits). ``handovers`` are those to come, with the T+ expected. ``checks`` judge it by
+    the rules of a launch, the worst first: overlaps, margin, room to stop at each handover to come; it will be refused
+    where one is a ``failure``.
     """
 
     plan_sha256: str
@@ -465,6 +467,7 @@ class ReplanProposal(Closed):
     mission_time_s: float
     stations: list[str]
     handovers: list[dict[str, Any]]
+    checks: list[dict[str, Any]]
     plan: dict[str, Any]
 
 

@@ -178,6 +178,7 @@ def test_a_new_plan_is_proposed_accepted_and_flown(client: httpx.Client, planned
         proposal = answer.json()
         assert (proposal["at_rest"], proposal["decide_by_t_plus_s"]) == (True, None)
         assert proposal["stations"] == ["west"]
+        assert proposal["checks"] == []  # no handover, so nothing that could come too late
         assert proposal["plan"]["mission"]["destination"] == {"east_m": 0.0, "north_m": 0.0, "up_m": 110.0}
         assert client.get(address).json()["phase"] == "holding"
         assert client.get(f"{address}/plan").json()["plan_sha256"] == planned["plan_sha256"]
@@ -187,7 +188,7 @@ def test_a_new_plan_is_proposed_accepted_and_flown(client: httpx.Client, planned
         far = {"destination": {"east_m": 9000, "north_m": 0, "up_m": 110}}
         assert assert_problem(client.post(f"{address}/replan", json=far), 409)["reason"] == "destination_uncovered"
         unknown = client.post(f"{address}/replan/accept", json={"plan_sha256": "0" * 64})
-        assert "has been proposed" in assert_problem(unknown, 404)["detail"]
+        assert "ask for one and accept that" in assert_problem(unknown, 404)["detail"]
 
         word = {"plan_sha256": proposal["plan_sha256"], "by": "me", "reason": "the patient is elsewhere"}
         accepted = client.post(f"{address}/replan/accept", json=word)
