@@ -180,7 +180,6 @@ class Streamer:
     """The core, its sockets and its clock."""
 
     def __init__(self, request: FlightRequest, run_dir: Path) -> None:
-        self.request = request
         self.run_dir = run_dir
         self.endpoints = open_links(request)
         self.locks = LinkLocks(self.endpoints)
