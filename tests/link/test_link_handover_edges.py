@@ -497,7 +497,7 @@ class Keeper:
 
 
 def by_parameter(*, ranged: bool) -> tuple[One, Keeper]:
-    one = One(way="parameter", attempt_s=1.0)
+    one = One(way="parameter", attempt_s=2.0)
     keeper: Any = Keeper(ranged=ranged)
     one.c.keeper = keeper
     return one, keeper
@@ -523,7 +523,7 @@ def test_where_two_can_be_heard_control_moves_once_both_are() -> None:
 def test_where_two_can_be_heard_and_the_new_one_never_is_the_old_one_goes_on() -> None:
     one, _ = by_parameter(ranged=True)
     one.step()
-    assert one.step(after_s=0.99) is HandoverState.REQUESTED
+    assert one.step(after_s=1.99) is HandoverState.REQUESTED
     assert one.c.gate.holder == "s1"
     assert one.step(after_s=0.01) is HandoverState.TIMED_OUT
     assert (one.c.gate.holder, one.c.gate.incoming) == ("s1", None)
@@ -533,7 +533,7 @@ def test_where_one_is_heard_alone_the_new_one_is_claimed_and_tried_after_half_of
     one, keeper = by_parameter(ranged=False)
     assert one.step() is HandoverState.REQUESTED
     assert (one.c.gate.holder, keeper.claimed) == ("s1", "s2")
-    one.step(after_s=0.49)
+    one.step(after_s=0.99)
     assert (one.c.gate.holder, keeper.claimed) == ("s1", "s2")
     one.step(after_s=0.01)
     # It speaks for itself now.
@@ -547,7 +547,7 @@ def test_where_one_is_heard_alone_control_moves_with_the_answer() -> None:
     one.step(after_s=0.05)
     assert (one.c.gate.holder, keeper.claimed) == ("s2", None)
     # Unanswered, the old one takes it back.
-    assert one.step(after_s=0.95) is HandoverState.TIMED_OUT
+    assert one.step(after_s=1.95) is HandoverState.TIMED_OUT
     assert (one.c.gate.holder, keeper.claimed) == ("s1", None)
 
 
