@@ -110,15 +110,18 @@ def _depth_at_m(problem: Problem, i: int | Indices, j: int | Indices, alt_m: Arr
     return np.minimum(depth, 2.0 * np.minimum(radius_i, radius_j))
 
 
-def lens_point_m(problem: Problem, i: int, j: int) -> Array:
-    """The middle ``(3,)`` of the lens of stations ``i`` and ``j`` at its deepest altitude; of the gap where none."""
+def lens_point_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
+    """The middle ``(..., 3)`` of the lens of stations ``i`` and ``j`` ``(...)`` at its deepest altitude; of the gap
+    where they share none."""
     a, b = problem.station_positions_m[i], problem.station_positions_m[j]
-    altitude = float(lens_altitude_m(problem, i, j))
-    distance = float(np.hypot(*(b - a)[:2]))
-    direction = (b - a)[:2] / distance if distance > 0.0 else np.zeros(2)
-    radius_i, radius_j = float(disc_radius_m(problem, i, altitude)), float(disc_radius_m(problem, j, altitude))
-    first, last = max(-radius_i, distance - radius_j), min(radius_i, distance + radius_j)
-    return np.array([*(a[:2] + 0.5 * (first + last) * direction), altitude])
+    altitude = lens_altitude_m(problem, i, j)
+    offset = (b - a)[..., :2]
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    direction = offset / np.where(distance > 0.0, distance, 1.0)[..., None]
+    radius_i, radius_j = disc_radius_m(problem, i, altitude), disc_radius_m(problem, j, altitude)
+    first, last = np.maximum(-radius_i, distance - radius_j), np.minimum(radius_i, distance + radius_j)
+    middle = a[..., :2] + 0.5 * (first + last)[..., None] * direction
+    return np.concatenate([middle, altitude[..., None]], axis=-1)
 
 
 def adjacent_pairs(problem: Problem, *, min_depth_m: float = MIN_LENS_M) -> AdjacentPairs:
