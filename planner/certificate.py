@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.coverage import Stations, coverage_windows, held_s
+from planner.coverage import Stations, held_s, leaves_s
 from planner.errors import ProblemError
 from planner.problem import Problem
 from planner.trajectory import Trajectory
@@ -121,10 +121,11 @@ def _overlap_excess_s(problem: Problem, trajectory: Trajectory) -> float:
     sequence = np.array(trajectory.sequence)
     before, after = _stations(problem, sequence[:-1]), _stations(problem, sequence[1:])
     times = trajectory.knots_s[joints]
-    early, _ = coverage_windows(trajectory, after, times, slack_m=0.0)
-    _, late = coverage_windows(trajectory, before, times, slack_m=0.0)
-    ahead = np.maximum(times - early, held_s(trajectory, after, joints - 1, ahead=False))
-    behind = np.maximum(late - times, held_s(trajectory, before, joints, ahead=True))
+    entered = leaves_s(trajectory, after, times, ahead=False, slack_m=0.0)
+    left = leaves_s(trajectory, before, times, ahead=True, slack_m=0.0)
+    # A vehicle outside at the handover itself has seen nothing of the other range (NaN).
+    ahead = np.fmax(times - entered, held_s(trajectory, after, joints - 1, ahead=False))
+    behind = np.fmax(left - times, held_s(trajectory, before, joints, ahead=True))
     return 0.5 * problem.min_overlap_s - float(min(ahead.min(), behind.min()))
 
 
