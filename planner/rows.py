@@ -119,9 +119,17 @@ class Table:
 
     @cached_property
     def reduced(self) -> Array:
-        """``(R, 6)``: every row as a combination of the joint vectors at T = 1, K_1 and K_2 eliminated."""
+        """``(R + 2, 6)``: every row as a combination of the joint vectors at T = 1, K_1 and K_2 eliminated.
+
+        The last two are K_1 and K_2 themselves.
+        """
         at_one = self.coefficients.sum(axis=0)[: self.rows]
-        return np.asarray(at_one[:, :6] + at_one[:, 6:] @ self.inner)
+        return np.concatenate([at_one[:, :6] + at_one[:, 6:] @ self.inner, self.inner])
+
+    @cached_property
+    def reduced_dimension(self) -> Indices:
+        """``(R + 2,)``: dimension of every row of ``reduced``."""
+        return np.concatenate([self.dimension, [2, 2]])
 
 
 @lru_cache(maxsize=8)

@@ -25,9 +25,9 @@ from planner.rows import A1, SOLVE_INNER, V1, VECTORS, W1, A, Table, V, W, produ
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Entries (first axis, second axis) of a symmetric 3 x 3 matrix, kept as six numbers.
-FIRST_AXIS, SECOND_AXIS = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])
-THIRD_SQUARED = 5
+# Entries (first axis, second axis) of a symmetric 3 x 3 matrix, kept as six numbers, its diagonal first.
+FIRST_AXIS, SECOND_AXIS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+THIRD_SQUARED = 2
 
 
 @dataclass(frozen=True)
