@@ -102,6 +102,13 @@ class Table:
         return np.ascontiguousarray(self.coefficients.transpose(0, 2, 1).reshape(-1, self.rows + 2))
 
     @cached_property
+    def uses(self) -> list[list[tuple[int, bool]]]:
+        """Of every row the vectors it is made of, and whether T multiplies them."""
+        timed = (self.coefficients[1:] != 0.0).sum(axis=0) > 0
+        used = timed | (self.coefficients[0] != 0.0)
+        return [[(int(v), bool(timed[r, v])) for v in np.flatnonzero(used[r])] for r in range(self.rows)]
+
+    @cached_property
     def inner_rows(self) -> Array:
         """``(2 R, 2)``: takes K_1, K_2 to the rows' factors of 1, T."""
         return np.ascontiguousarray(self.coefficients[:2, : self.rows, 6:].reshape(-1, 2))
