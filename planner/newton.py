@@ -66,7 +66,7 @@ def _band_layout() -> Indices:
     return layout
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _band_places(pieces: int) -> tuple[Indices, Indices]:
     """``(19, unknowns)`` each: the two places, among all pieces' numbers, whose sum every entry of the band is.
 
@@ -131,9 +131,9 @@ class NewtonSystem:
 
     def slope(self, step: Step) -> float:
         """The objective's first-order change along ``step``."""
-        durations, vectors = self.problem.vectors(step.x, step.inner, step=True)
-        slope = float(self._objective_time @ durations)
+        slope = float(self._objective_time @ step.x[0::STRIDE])
         if self._energy is not None:
+            durations, vectors = self.problem.vectors(step.x, step.inner, step=True)
             rows = self.problem.row_step(self.at, durations, vectors)[self._energy.rows]
             slope += float((self._energy.forces * rows).sum())
         return slope
