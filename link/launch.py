@@ -56,6 +56,8 @@ STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
     # goes through theirs in steps of an eighth, shifted a little each time. ArduPilot keeps whole milliseconds.
     (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 1000.0 / 111.0),
     (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
+    # The battery.
+    (mavlink.MAVLINK_MSG_ID_SYS_STATUS, 1.0),
 )
 """What the station in control asks the vehicle to send, and how often, in Hz."""
 
