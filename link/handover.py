@@ -302,8 +302,6 @@ class Handover:
             if ticket is not None:
                 self._c.commander.cancel(ticket)
         self._c.gate.accompany(None)
-        if self._c.keeper is not None:
-            self._c.keeper.claimed = None
         self._c.grant(self.border.from_station, f"handover {self.border.index} not confirmed")
         self._retry_s = self._c.now_s + REASK_S
         self._proof_after_s = self._c.now_s

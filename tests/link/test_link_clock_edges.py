@@ -212,3 +212,15 @@ def test_quantiles_of_nothing_of_little_and_of_the_last_bin() -> None:
     assert late.quantile_ms(0.51) == 4000.0
     assert late.quantile_ms(1.0) == 4000.0
     assert late.to_document()["p99_ms"] == 4000.0
+
+
+def test_the_ninety_ninth_percentile_leaves_out_one_tick_in_a_hundred() -> None:
+    late = Lateness()
+    for _ in range(990):
+        late.add(0.00005)
+    for _ in range(10):
+        late.add(0.9)
+    document = late.to_document()
+    assert (document["p50_ms"], document["p99_ms"], document["worst_ms"]) == (0.1, 0.1, 900.0)
+    late.add(0.9)
+    assert late.to_document()["p99_ms"] == 900.0
