@@ -475,6 +475,16 @@ def test_told_to_stop_it_asks_for_the_way_out_once(bench: Bench) -> None:
     ]
 
 
+def test_what_a_word_at_the_last_tick_brings_about_is_still_told(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench.core, "command", lambda word, **_: bench.core.event(what=f"word {word}"))
+    bench.core.last = 1
+    bench.streamer._stop = True
+    bench.streamer.run()
+    events = [json.loads(line) for line in (bench.run_dir / "events.jsonl").read_text().splitlines()]
+    assert [e["data"]["what"] for e in events] == ["tick 1", "word abort"]
+    assert bench.streamer.events == events
+
+
 def test_a_client_that_reads_slowly_gets_its_last_events_within_half_a_second(bench: Bench) -> None:
     bench.core.last = 2
     client = bench.client()
