@@ -221,6 +221,8 @@ def test_it_serves_ticks_when_due_sends_each_frame_over_its_link_and_then_tells(
     assert bench.streamer.events == events
     assert not (bench.run_dir / "control.sock").exists()
     # Everything is let go of: the links can be flown again.
+    assert all(endpoint.fileno() < 0 for endpoint in bench.streamer.endpoints.values())
+    assert not [name for name in open_files() if name.startswith(str(bench.run_dir))]
     again = Streamer(bench.request, bench.run_dir)
     again.close()
 
