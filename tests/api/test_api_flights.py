@@ -178,6 +178,7 @@ def test_a_new_plan_is_proposed_accepted_and_flown(client: httpx.Client, planned
                 break
             assert_problem(answer, 409)
             time.sleep(0.1)
+        assert answer.status_code == 200, answer.text
         proposal = answer.json()
         assert (proposal["at_rest"], proposal["decide_by_t_plus_s"]) == (True, None)
         assert proposal["stations"] == ["west"]
