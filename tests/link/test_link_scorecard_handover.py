@@ -211,7 +211,8 @@ def owners_confirmed(autopilot: str, way: str, faults: tuple[str, ...], loss: fl
     one = VirtualFlight(relay_plan(2), autopilot, frugal=True, config=config, request=settings, proxy=proxy)
     confirmed = false = told = 0
     end_s = 200.0
-    while not one.core.finished and one.now_s < end_s:
+    # There is nothing to hand over any more once it lands.
+    while not one.core.finished and one.core.state is not FlightState.LANDING and one.now_s < end_s:
         one.step()
         for event in one.events[told:]:
             if event.data.get("event") == "evidence":
