@@ -54,7 +54,7 @@ for line in sys.stdin:
 
 
 class Service:
-    """``skyrelay serve``, forked off a process that has it loaded, over one folder of data."""
+    """``skyrelay serve``, forked off a process that has it loaded, over one folder of data; one at a time."""
 
     def __init__(self, loaded: subprocess.Popen[str], data: Path) -> None:
         self._data = data
@@ -62,39 +62,44 @@ class Service:
         assert loaded.stdout is not None
         self._ask: IO[str] = loaded.stdin
         self._hear: IO[str] = loaded.stdout
+        self._pid: int | None = None
+        self.address = ""
 
-    def start(self) -> tuple[int, str]:
-        """Its process and its address, once it serves."""
+    def start(self) -> None:
+        """Returns once it serves."""
         self._ask.write(f"{self._data}\n")
         self._ask.flush()
-        found: dict[str, str] = {}
-        while len(found) < 2:
+        self.address = ""
+        while self._pid is None or not self.address:
             line = self._hear.readline()
             assert line, "the service has ended"
             if line.startswith("pid"):
-                found["pid"] = line.split()[1]
+                self._pid = int(line.split()[1])
             elif "serves at" in line:
-                found["address"] = line.split()[-1].rstrip("/")
-        return int(found["pid"]), found["address"]
+                self.address = line.split()[-1].rstrip("/")
+
+    def kill(self) -> None:
+        """SIGKILL, if it runs."""
+        if self._pid is not None:
+            os.kill(self._pid, signal.SIGKILL)
+        self._pid = None
 
 
 @contextlib.contextmanager
 def loaded_service(data: Path) -> Iterator[Service]:
-    """A `Service` to start and kill; its loaded process ends with the block."""
+    """A `Service` to start and kill; nothing of it is left after the block."""
+    command = [sys.executable, "-c", LOADED]
     with (data.parent / "service.log").open("w") as log:
         process = subprocess.Popen(
-            [sys.executable, "-c", LOADED],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            text=True,
-            cwd=ROOT,
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, cwd=ROOT
         )
+        service = Service(process, data)
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == "loaded\n"
-            yield Service(process, data)
+            yield service
         finally:
+            service.kill()
             process.kill()
             process.communicate()
 
@@ -107,28 +112,34 @@ def status_of(run_dir: Path) -> dict[str, Any]:
         return answer
 
 
-def kill_services(service: Service, address: str, pid: int, flight_id: str, numbers: Iterator[int]) -> int:
-    """Kill the service that runs, start it again, let it find its flight, and so on in cruise; how many were killed.
+def kill_services(service: Service, flight_id: str, numbers: Iterator[int]) -> int:
+    """Kill the service that runs, start it again, let it find its flight, and so on; how many were killed.
 
     Each is killed at a drawn moment of its life: while it finds the flight, is asked about it, or plans a mission.
     """
     killed = 0
     for number in numbers:
         draw = random.Random(number)
-        with contextlib.suppress(httpx.HTTPError), httpx.Client(base_url=address, timeout=5.0) as client:
+        with contextlib.suppress(httpx.HTTPError), httpx.Client(base_url=service.address, timeout=5.0) as client:
             if draw.random() < 0.5:
                 client.post("/v1/missions", json=SLOW_MISSION)
             if draw.random() < 0.8:
-                flight = client.get(f"/v1/flights/{flight_id}").json()
-                if flight.get("phase") not in ("cruise", None):
-                    os.kill(pid, signal.SIGKILL)
-                    return killed
+                client.get(f"/v1/flights/{flight_id}")
         time.sleep(draw.uniform(0.0, 0.3))
-        os.kill(pid, signal.SIGKILL)
+        service.kill()
         killed += 1
-        pid, address = service.start()
-    os.kill(pid, signal.SIGKILL)
+        service.start()
     return killed
+
+
+def prepared(client: httpx.Client, wanted: dict[str, Any]) -> dict[str, Any]:
+    """A flight made ready by the service; on a very busy machine a streamer may not come up in time the first time."""
+    for _ in range(3):
+        answer = client.post("/v1/flights", json=wanted)
+        if answer.status_code == 201:
+            flight: dict[str, Any] = answer.json()
+            return wait_for(client, flight["id"], "ready")
+    raise AssertionError(answer.text)
 
 
 @pytest.mark.soak
@@ -137,8 +148,8 @@ def test_a_hundred_killed_services_cost_no_tick(autopilot: str, tmp_path: Path) 
     """Real processes, real time, a flight that the service launched."""
     data = tmp_path / "data"
     with loaded_service(data) as service, Children() as children:
-        pid, address = service.start()
-        with httpx.Client(base_url=address, timeout=60) as client:
+        service.start()
+        with httpx.Client(base_url=service.address, timeout=120) as client:
             mission = wait_for_planning(client, client.post("/v1/missions", json=SLOW_MISSION).json()["id"])
             plan = Plan.from_document(client.get(f"/v1/missions/{mission['id']}/plan").json())
             _, urls = simulator.start(children, plan, autopilot=autopilot, speedup=1.0)
@@ -146,14 +157,14 @@ def test_a_hundred_killed_services_cost_no_tick(autopilot: str, tmp_path: Path) 
                 client.put(f"/v1/links/{station}", json={"url": url})
             client.put("/v1/vehicles/drone", json={"autopilot": autopilot, "links": {s: s for s in urls}})
             wanted = {"mission_id": mission["id"], "plan_sha256": mission["plan_sha256"], "vehicle_id": "drone"}
-            flight = client.post("/v1/flights", json=wanted).json()
-            launch(client, wait_for(client, flight["id"], "ready"))
+            flight = prepared(client, wanted)
+            launch(client, flight)
             wait_for(client, flight["id"], "cruise")
-        (run_dir,) = (data / "flights").iterdir()
+        run_dir = data / "flights" / flight["id"]
         try:
             before = status_of(run_dir)["lateness"]
             numbers = counted(f"{autopilot}: killed services", range(100), 10)
-            killed = kill_services(service, address, pid, flight["id"], numbers)
+            killed = kill_services(service, flight["id"], numbers)
             after = status_of(run_dir)
             missed = after["lateness"]["skipped_ticks"] - before["skipped_ticks"]
             print(f"{autopilot}: {killed} kills, {missed} ticks missed; {after['lateness']}")
