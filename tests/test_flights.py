@@ -298,9 +298,11 @@ def on_the_wall_clock(kind: str, autopilot: str, folder: Path) -> None:
         request = vehicle.request(plan, autopilot, 1.0, wait_for_station_s=5.0, log_path=str(log))
         if kind == "service":
             service, streamer = start_attended(request, folder)
-            time.sleep(0.5 * plan.mission_time_s)
-            kill(service)
             until = time.monotonic() + 900.0
+            while '"cruise"' not in (folder / "run" / "events.jsonl").read_text() and time.monotonic() < until:
+                time.sleep(0.5)
+            time.sleep(0.4 * plan.mission_time_s)
+            kill(service)
             while alive(streamer) and time.monotonic() < until:
                 time.sleep(0.5)
             result = json.loads((folder / "run" / "result.json").read_text())
