@@ -70,6 +70,13 @@ def discs_seen_from_above(problem: Problem, ranges_m: Array) -> tuple[Array, Arr
     An elevation mask e takes away what lies below its cone: then the widest place is at h + R sin e. Stations that
     do not reach the band are left out.
     """
+    radii = radii_seen_from_above(problem, ranges_m)
+    reach = radii >= 0
+    return problem.station_positions_m[reach, :2], radii[reach]
+
+
+def radii_seen_from_above(problem: Problem, ranges_m: Array) -> Array:
+    """Radius of each station's largest cross-section in the band ``(M,)``; minus one where it does not reach it."""
     height = problem.station_positions_m[:, 2]
     low, high = problem.limits.min_alt_m, problem.limits.max_alt_m
     if problem.min_elevation_deg is None:
@@ -84,8 +91,7 @@ def discs_seen_from_above(problem: Problem, ranges_m: Array) -> tuple[Array, Arr
         cone[limited & (widest < height)] = -1.0
     square = ranges_m**2 - (widest - height) ** 2
     radii = np.minimum(np.sqrt(np.maximum(square, 0.0)), cone)
-    reach = (square >= 0) & (radii >= 0)
-    return problem.station_positions_m[reach, :2], radii[reach]
+    return np.where((square >= 0) & (radii >= 0), radii, -1.0)
 
 
 def fastest_time_s(
