@@ -41,7 +41,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     codecs = {s: StationCodec(number) for s, number in IDS.items()}
     vehicle = StationCodec(1, 1)
     records: list[tuple[float, bytes]] = []
-    for k, setpoint in enumerate(SetpointStream(PLAN, 20.0)):
+    # But for the last, which is at the mission time, between two ticks.
+    for k, setpoint in enumerate(list(SetpointStream(PLAN, 20.0))[:-1]):
         message = mavlink.MAVLink_set_position_target_global_int_message(
             0, 1, 1, 5, 0, round(setpoint.lat_deg * 1e7), round(setpoint.lon_deg * 1e7), setpoint.alt_amsl_m,
             *setpoint.velocity_ned_m_s, 0.0, 0.0, 0.0, 0.0, 0.0,
