@@ -167,9 +167,9 @@ def lateness_ms(time_s: Array, rate_hz: float) -> Array:
     """How late each datagram is against the earliest deadline not served before it, on the sender's even grid.
 
     The grid's phase is not known to us. Taken modulo the period, the shortest arc with nine tenths of the datagrams is
-    where they are when little is wrong; the earliest of them, or just before them, is taken for a deadline, but for a few
-    strays: in a long run some are late by nearly a whole period. So a sender that is late by the same amount all the
-    time is not found out; one that misses deadlines is charged from the first.
+    where they are when little is wrong; the earliest of them, or just before them, is taken for a deadline, but for a
+    few strays: in a long run some are late by nearly a whole period. So a sender that is late by the same amount all
+    the time is not found out; one that misses deadlines is charged from the first.
     """
     turns = (time_s - time_s[0]) * rate_hz
     within = np.sort(np.mod(turns, 1.0))
