@@ -77,7 +77,7 @@ class Recorder:
 
     def event(self, event: FlightEvent) -> None:
         """Keep an event."""
-        self._queue.put(("event", 0.0, json.dumps(event.to_document(), allow_nan=False).encode() + b"\n"))
+        self._queue.put(("event", 0.0, json.dumps(event.to_document()).encode() + b"\n"))
 
     def close(self) -> None:
         """Write out what is queued, for a few seconds at most."""
@@ -180,7 +180,6 @@ class Streamer:
     """The core, its sockets and its clock."""
 
     def __init__(self, request: FlightRequest, run_dir: Path) -> None:
-        self.request = request
         self.run_dir = run_dir
         self.endpoints = open_links(request)
         self.locks = LinkLocks(self.endpoints)
@@ -329,7 +328,7 @@ class Streamer:
         self.close()
 
     def _log(self, text: str) -> None:
-        print(text, file=sys.stderr, flush=True)  # noqa: T201 - the process's own log
+        print(text, file=sys.stderr)  # noqa: T201 - the process's own log
 
     def close(self) -> None:
         """Let go of everything."""

@@ -7,7 +7,7 @@ time, and for further sequences to compare with, the portal graph prices every l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -35,6 +35,8 @@ __all__ = ["MIN_LENS_M", "Route", "candidate_routes", "geodesic_sequence", "is_c
 MAX_PAIRS = 3_000
 # How much slower than the best a chain of masts may be for its stations to stay: a part of it, and seconds.
 COARSE_SLACK, COARSE_SLACK_S = 0.01, 15.0
+# Stations on a path whose onward handovers are looked for together.
+_BLOCK = 256
 # The same for a route over the middles of chords, for its chords to get all their portals, and legs between these.
 FINE_SLACK, FINE_SLACK_S = 0.003, 3.0
 FINE_LEGS = 1_000_000
@@ -139,15 +141,10 @@ def _fewest(problem: Problem, enter: Array, leave: Array, length: float, slack: 
     order = np.argsort(leave, kind="stable")
     cost = {k: (1, 0.0) for k in order.tolist() if k in sources and enter[k] <= slack}
     before: dict[int, int] = {}
-    for at, k in enumerate(order.tolist()):
+    for k, nexts in _onward(problem, order, enter, leave + slack):
         if k not in cost:
             continue
-        nexts = order[at + 1 :]
-        nexts = nexts[enter[nexts] <= leave[k] + slack]
-        if not len(nexts):
-            continue
-        depths = lens_depth_m(problem, np.full(len(nexts), k), nexts)
-        for m in nexts[depths >= MIN_LENS_M].tolist():
+        for m in nexts:
             overlap = max(float(leave[k] - enter[m]), 0.0)
             onward = (cost[k][0] + 1, cost[k][1] + 1.0 / (1.0 + overlap))
             if m not in cost or onward < cost[m]:
@@ -160,6 +157,19 @@ def _fewest(problem: Problem, enter: Array, leave: Array, length: float, slack: 
     while path[-1] in before:
         path.append(before[path[-1]])
     return tuple(path[::-1])
+
+
+def _onward(problem: Problem, order: Indices, enter: Array, leave: Array) -> Iterator[tuple[int, list[int]]]:
+    """Every station of ``order`` and the later ones that it can hand over to: entered before it is left, in a lens."""
+    for begin in range(0, len(order), _BLOCK):
+        block = order[begin : begin + _BLOCK]
+        later = np.arange(len(order)) > np.arange(begin, begin + len(block))[:, None]
+        first, second = np.nonzero(later & (enter[order] <= leave[block][:, None]))
+        met = lens_depth_m(problem, block[first], order[second]) >= MIN_LENS_M
+        first, second = first[met], second[met]
+        edges = np.searchsorted(first, np.arange(len(block) + 1))
+        for row, k in enumerate(block.tolist()):
+            yield k, order[second[edges[row] : edges[row + 1]]].tolist()
 
 
 def _farthest_end(problem: Problem, station: int) -> float:

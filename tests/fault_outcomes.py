@@ -82,6 +82,7 @@ def way_out(alarm: str = "") -> Outcome:
 
 _LOSS_T = "PX4 gives the stream up after 1 s, ArduPilot's GUID_TIMEOUT is 3 s"
 _SILENT = "the autopilot may have acted on our silence: no stream again without a person, its own return in the end"
+_UNREAD = "where its own return would lead is not known: no rally points read back, no flight"
 _NOTHING = "nothing the flight hangs on"
 _ASKED = "what is not answered is asked for again"
 
@@ -171,8 +172,8 @@ ROWS: tuple[Row, ...] = (
     both("mission-request-repeated", COMPLETED, "the same item again"),
     both("mission-item-lost", COMPLETED, _ASKED),
     both("mission-refused", COMPLETED, "no rally point is asked for by this mission"),
-    both("mission-count-off", COMPLETED, "no rally point is asked for by this mission"),
-    both("mission-silent", COMPLETED, "no rally point is asked for by this mission"),
+    both("mission-count-off", REFUSED, _UNREAD),
+    both("mission-silent", REFUSED, _UNREAD),
     # flight
     each("setpoints-lost", way_out(LAPSE), done(), f"5 s without setpoints: {_LOSS_T}, runs on and catches up"),
     both("setpoints-lost-share", COMPLETED, "a stream of 20 Hz has setpoints to spare"),
@@ -210,9 +211,9 @@ ROWS: tuple[Row, ...] = (
     both("origin-shift", COMPLETED, "setpoints are laid from the new origin, and it is told", "EKF origin moved"),
     both("home-shift", COMPLETED, "nothing we send refers to home"),
     both("never-ready", REFUSED, "no position, no flight"),
-    both("battery-low", COMPLETED, "its own battery failsafe, where set, has the last word"),
-    both("battery-critical", COMPLETED, "as battery-low: half a minute is left to fly"),
-    both("battery-drain", COMPLETED, "the flight is short"),
+    each("battery-low", done("battery low"), way_out(LAPSE), "PX4 warns; ArduPilot returns, as preflight has it set"),
+    both("battery-critical", CONTINGENCY, "its battery failsafe, set by preflight: silence, until it is down", LAPSE),
+    each("battery-drain", done(), way_out(LAPSE), "PX4 counts the charge, which lasts; ArduPilot the volts, which sag"),
     both("wind-gust", COMPLETED, "within what it can lean against"),
     both("wind", COMPLETED, "within what it can lean against"),
     both("slow-vehicle", COMPLETED, "the reference waits for it, and the schedule moves", BEHIND),

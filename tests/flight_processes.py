@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import socket
 import subprocess
 import sys
@@ -14,7 +15,11 @@ from typing import Any
 
 from gcs.flight import FlightEvent
 from gcs.plan import Plan
+from link.codec import StationCodec
+from link.dialect import mavlink
+from link.endpoint import open_endpoint
 from link.flight import FlightRequest
+from link.profiles import PROFILES
 from virtual_flight import plan_home
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -83,6 +88,62 @@ def bad_links(vehicle: Simulator, *arguments: str) -> Iterator[dict[str, subproc
             proxy.terminate()
         for proxy in proxies.values():
             proxy.wait(20)
+
+
+ATTENDANT = """
+import json, sys, time
+from pathlib import Path
+from link.flight import FlightRequest
+from link.supervisor import start_flight
+flight = start_flight(FlightRequest.from_document(json.load(open(sys.argv[1]))), run_dir=Path(sys.argv[2]))
+print(flight.pid, flush=True)
+time.sleep(3600)
+"""
+
+
+def start_attended(request: FlightRequest, folder: Path) -> tuple[subprocess.Popen[bytes], int]:
+    """A process to kill that starts a flight in ``folder/run`` and attends it; it, and the streamer's pid."""
+    (folder / "request.json").write_text(json.dumps(request.to_document()))
+    attendant = subprocess.Popen(
+        [sys.executable, "-c", ATTENDANT, str(folder / "request.json"), str(folder / "run")],
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+        start_new_session=True,
+    )
+    assert attendant.stdout is not None
+    return attendant, int(attendant.stdout.readline())
+
+
+def kill(process: subprocess.Popen[bytes]) -> None:
+    """SIGKILL, and its end waited for."""
+    process.kill()
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that ended and was not fetched by its parent does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def mode_seen(url: str, autopilot: str, expected: str, timeout_s: float = 30.0) -> str | None:
+    """The mode of the vehicle's own heartbeat, heard by a listener of its own: ``expected``, or the last in vain."""
+    profile, codec, mode = PROFILES[autopilot], StationCodec(99), None
+    deadline = time.monotonic() + timeout_s
+    with open_endpoint(url) as link:
+        while mode != expected and time.monotonic() < deadline:
+            # TIMESYNC says where to answer and commands nothing.
+            link.send(codec.encode(mavlink.MAVLink_timesync_message(0, 1)))
+            time.sleep(0.05)
+            for data in link.receive():
+                for message in codec.decode(data):
+                    if profile.is_autopilot(message):
+                        mode = profile.mode_of(message)
+    return mode
 
 
 class Events:

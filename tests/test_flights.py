@@ -7,10 +7,15 @@ in minutes and the same every time. Over real UDP and the wall clock, the comman
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
-from functools import cache
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +23,16 @@ import numpy as np
 import pyproj
 import pytest
 
-from flight_processes import free_ports
+from flight_processes import Events, alive, bad_links, free_ports, kill, mode_seen, simulator, start_attended
+from forks import in_fork
 from gcs.flight import FlightState
 from gcs.geodesy import slant_range_m
 from gcs.mission import Mission
 from gcs.plan import Plan
 from gcs.planning import plan_mission
 from link.report import report_flight
+from link.supervisor import start_flight
+from soak import counted
 from virtual_flight import Proxy, VirtualFlight, handover_gaps_s, one_station_at_a_time, plan_home
 
 MISSIONS = Path(__file__).resolve().parent.parent / "sitl_fixtures" / "missions"
@@ -103,24 +111,32 @@ def test_bad_links_in_virtual_time(autopilot: str) -> None:
     [("paper_like/M30_09.json", 20), ("paper_like/M30_04.json", 5), ("wadden_relay.json", 3)],
 )
 def test_bad_links_with_many_seeds(name: str, seeds: int, autopilot: str) -> None:
-    for seed in range(seeds):
+    for seed in counted(f"{name}, {autopilot}: flights over bad links", range(seeds), 1):
         fly_over_bad_links(name, autopilot, seed)
 
 
-def fly_past_a_dying_station(name: str, autopilot: str, handover: int, which: str) -> VirtualFlight:
+def take_off(name: str, autopilot: str, **settings: object) -> VirtualFlight:
+    """A flight that nothing has happened to yet; over the Wadden Sea at a quarter of the usual rate, for time."""
+    request: dict[str, object] = {"rate_hz": 5.0} if name.startswith("wadden") else {}
+    return VirtualFlight(plan_of(name), autopilot, frugal=True, request={**request, **settings}, truth_every_s=1.0)
+
+
+def station_dies_s(plan: Plan, handover: int) -> float:
+    """When on the plan a station dies as a handover comes up, for `end_past_a_dead_station`."""
+    planned = plan.handovers[handover - 1]
+    return max(planned.time_s - 2.0, planned.overlap_start_s + 0.5)
+
+
+def end_past_a_dead_station(flight: VirtualFlight, handover: int, which: str) -> None:
     """The old or the new station's link dies for good as a handover comes up: one in control, in coverage, to an end.
 
     The old one's: the new one takes over early, or at its time. The new one's: the flight stops, inside the coverage it
     has where it can stop that fast (a second to notice, then v / 2a of the plan's time), waits, turns back, and lands
     where it began or at the plan's safe point.
     """
-    plan = plan_of(name)
+    plan, begin_s = flight.plan, station_dies_s(flight.plan, handover)
     planned = plan.handovers[handover - 1]
     dead = planned.from_station if which == "old" else planned.to_station
-    far = {"rate_hz": 10.0} if name.startswith("wadden") else {}
-    flight = VirtualFlight(plan, autopilot, frugal=True, request={"wait_for_station_s": 5.0, **far}, truth_every_s=1.0)
-    begin_s = max(planned.time_s - 2.0, planned.overlap_start_s + 0.5)
-    flight.run(until=lambda: flight.plan_s >= begin_s)
     assert flight.core.state is FlightState.CRUISE
     flight.proxy.cuts.append((dead, flight.now_s, 1e9))
     end = flight.run()
@@ -135,69 +151,82 @@ def fly_past_a_dying_station(name: str, autopilot: str, handover: int, which: st
         limits = plan.mission.limits
         stopped_s = begin_s + 1.2 + 1.1 * limits.max_speed_m_s / (2.0 * limits.max_accel_m_s2)
         assert again or furthest < max(planned.overlap_end_s, stopped_s)
-    return flight
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(("autopilot", "handover", "which"), [("ardupilot", 2, "old"), ("px4", 4, "new")])
 def test_a_station_dies_at_a_handover(autopilot: str, handover: int, which: str) -> None:
-    fly_past_a_dying_station("paper_like/M30_09.json", autopilot, handover, which)
+    flight = take_off("paper_like/M30_09.json", autopilot, wait_for_station_s=5.0)
+    begin_s = station_dies_s(flight.plan, handover)
+    flight.run(until=lambda: flight.plan_s >= begin_s)
+    end_past_a_dead_station(flight, handover, which)
 
 
-@pytest.mark.soak
-@pytest.mark.parametrize("which", ["old", "new"])
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-@pytest.mark.parametrize("name", ["paper_like/M30_09.json", "wadden_relay.json"])
-def test_a_station_dies_at_each_handover_in_turn(name: str, autopilot: str, which: str) -> None:
-    for handover in range(1, len(plan_of(name).handovers) + 1):
-        fly_past_a_dying_station(name, autopilot, handover, which)
-
-
-def fly_with_the_streamer_killed(name: str, autopilot: str, at_s: float) -> VirtualFlight:
+def end_with_the_streamer_killed(flight: VirtualFlight) -> None:
     """From one tick on nothing is sent: the autopilot's own failsafe, checked before the flight, has the vehicle."""
-    flight = VirtualFlight(plan_of(name), autopilot, frugal=True, request={"rate_hz": 10.0})
-    flight.run(until=lambda: flight.plan_s >= at_s)
     flight.frozen, silent_s, sent = True, flight.now_s, len(flight.sent)
     flight.run_for(12.0)
     assert len(flight.sent) == sent
     # PX4 holds a second after the stream's end; ArduPilot returns five seconds after the last heartbeat.
+    autopilot = flight.request.autopilot
     assert flight.vehicle.personality.mode_name == {"px4": "HOLD", "ardupilot": "RTL"}[autopilot]
     assert max(a.time_s for a in flight.accepted) <= silent_s + 0.1
     one_station_at_a_time(flight)
-    return flight
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_a_killed_streamer_leaves_the_vehicle_to_its_failsafe(autopilot: str) -> None:
-    fly_with_the_streamer_killed("paper_like/M30_09.json", autopilot, 30.0)
+    flight = take_off("paper_like/M30_09.json", autopilot)
+    flight.run(until=lambda: flight.plan_s >= 30.0)
+    end_with_the_streamer_killed(flight)
 
 
-@pytest.mark.soak
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-@pytest.mark.parametrize("name", ["paper_like/M30_09.json", "wadden_relay.json"])
-def test_a_streamer_killed_anywhere(name: str, autopilot: str) -> None:
-    for share in np.linspace(0.05, 0.95, 10):
-        fly_with_the_streamer_killed(name, autopilot, float(share) * plan_of(name).mission_time_s)
+def end_with_the_service_gone(flight: VirtualFlight) -> None:
+    """Nobody can speak any more from here on: not a setpoint is missed, and it lands at the destination."""
+    flight.core.parent_gone()
+    gone_s = flight.now_s
+    assert flight.run() is FlightState.COMPLETED
+    one_station_at_a_time(flight)
+    landing_s = flight.said("state", to="landing")[0].time_s
+    assert flight.longest_gap_s(gone_s, landing_s) <= 2.0 / flight.request.rate_hz + 1e-6
+    assert [e.data["what"] for e in flight.said("alarm")] == ["nobody attends the flight"]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_with_the_service_gone_the_flight_ends_as_planned(autopilot: str) -> None:
-    """Nobody can speak any more from half way on: not a setpoint is missed, and it lands at the destination."""
-    plan = plan_of("paper_like/M30_09.json")
-    flight = VirtualFlight(plan, autopilot, frugal=True)
-    flight.run(until=lambda: flight.plan_s >= 0.5 * plan.mission_time_s)
-    flight.core.parent_gone()
-    gone_s = flight.now_s
-    assert flight.run() is FlightState.COMPLETED
-    one_station_at_a_time(flight)
-    landing_s = flight.said("state", to="landing")[0].time_s
-    assert flight.longest_gap_s(gone_s, landing_s) <= 0.1 + 1e-6
-    assert [e.data["what"] for e in flight.said("alarm")] == ["nobody attends the flight"]
+    flight = take_off("paper_like/M30_09.json", autopilot)
+    flight.run(until=lambda: flight.plan_s >= 0.5 * flight.plan.mission_time_s)
+    end_with_the_service_gone(flight)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("name", ["paper_like/M30_09.json", "wadden_relay.json"])
+def test_whatever_dies_along_a_flight_it_ends_as_it_must(name: str, autopilot: str) -> None:
+    """A station at each handover in turn, the streamer in ten places, the service in two; all in forks of a flight."""
+    flight = take_off(name, autopilot, wait_for_station_s=5.0)
+    plan, whole_s = flight.plan, flight.plan.mission_time_s
+    endings: list[tuple[float, str, Callable[[], None]]] = []
+    for handover, which in product(range(1, len(plan.handovers) + 1), ("old", "new")):
+        end = partial(end_past_a_dead_station, flight, handover, which)
+        endings.append((station_dies_s(plan, handover), f"the {which} station dies at handover {handover}", end))
+    for share in np.linspace(0.05, 0.95, 10):
+        killed = partial(end_with_the_streamer_killed, flight)
+        endings.append((float(share) * whole_s, f"the streamer is killed at {share:.2f} of the way", killed))
+    for share in (0.3, 0.8):
+        gone = partial(end_with_the_service_gone, flight)
+        endings.append((share * whole_s, f"the service is killed at {share:.2f} of the way", gone))
+    endings.sort(key=lambda ending: ending[0])
+    for number in counted(f"{name}, {autopilot}: endings", range(len(endings)), 1):
+        moment_s, what, end = endings[number]
+        flight.run(until=lambda moment_s=moment_s: flight.plan_s >= moment_s)  # type: ignore[misc]
+        print(f"{what}, {moment_s:.0f} s", flush=True)
+        in_fork(end)
 
 
 @pytest.mark.slow
@@ -258,3 +287,69 @@ def test_paper_like_mission_over_udp_on_the_wall_clock(tmp_path: Path) -> None:
         assert report.margin_least_m is not None
         assert report.margin_least_m > 0.0
         assert "not planned" not in report.to_text()
+
+
+def on_the_wall_clock(kind: str, autopilot: str, folder: Path) -> None:
+    """One flight in real time over real UDP, a proxy before each link, and what is to happen to it."""
+    plan = plan_of("paper_like/M30_09.json")
+    log = folder / "flight.tlog"
+    impairment = ("--loss", "0.1", "--latency", "0.1", "--jitter", "0.05") if kind == "bad links" else ()
+    with simulator(plan, autopilot, 1.0) as vehicle, bad_links(vehicle, *impairment) as proxies:
+        request = vehicle.request(plan, autopilot, 1.0, wait_for_station_s=5.0, log_path=str(log))
+        if kind == "service":
+            service, streamer = start_attended(request, folder)
+            until = time.monotonic() + 900.0
+            while '"cruise"' not in (folder / "run" / "events.jsonl").read_text() and time.monotonic() < until:
+                time.sleep(0.5)
+            time.sleep(0.4 * plan.mission_time_s)
+            kill(service)
+            while alive(streamer) and time.monotonic() < until:
+                time.sleep(0.5)
+            result = json.loads((folder / "run" / "result.json").read_text())
+            assert (result["state"], result["exit_code"]) == ("completed", 0)
+            told = [json.loads(line) for line in (folder / "run" / "events.jsonl").read_text().splitlines()]
+            assert "nobody attends the flight" in [event["data"].get("what") for event in told]
+        else:
+            events = Events()
+            flight = start_flight(request, on_event=events, run_dir=folder / "run")
+            try:
+                if kind == "station":
+                    events.in_cruise(station_dies_s(plan, 2), 900.0)
+                    proxies[plan.handovers[1].to_station].kill()
+                elif kind == "streamer":
+                    events.in_cruise(0.4 * plan.mission_time_s, 900.0)
+                    os.kill(flight.pid, signal.SIGKILL)
+                ended = flight.wait(900.0)
+            finally:
+                flight.kill()
+            stated = {"bad links": "completed", "station": "contingency", "streamer": "lost"}[kind]
+            assert ended.state.value == stated, ended.reason
+            released = [(e.data["from"], e.data["to"]) for e in events.all if e.data.get("state") == "released"]
+            first = (plan.handovers[0].from_station, plan.handovers[0].to_station)
+            if kind == "station":
+                assert released == [first, first[::-1]]
+            if kind == "streamer":
+                expected = {"px4": "HOLD", "ardupilot": "RTL"}[autopilot]
+                assert mode_seen(next(iter(vehicle.links.values())), autopilot, expected) == expected
+    report = report_flight(log, plan)
+    print(f"{kind}, {autopilot}:\n{report.to_text()}", flush=True)
+    # One station at a time: every setpoint on record belongs to one, and control changed hands at the handovers alone.
+    assert sum(report.setpoints_by_station.values()) == report.setpoints > 0
+    if kind in ("bad links", "service"):
+        assert report.reached
+        assert [(h.from_station, h.to_station) for h in report.handovers] == [
+            (h.from_station, h.to_station) for h in plan.handovers
+        ]
+        assert report.tracking_rms_m is not None
+        assert report.tracking_rms_m < 3.0
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kind", ["bad links", "station", "streamer", "service"])
+def test_one_of_each_kind_on_the_wall_clock(kind: str, tmp_path: Path) -> None:
+    """10 % loss, 100 ms and reordering; a station, the streamer, the service killed: both personalities at once."""
+    folders = [tmp_path / autopilot for autopilot in AUTOPILOTS]
+    for folder in folders:
+        folder.mkdir()
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(on_the_wall_clock, [kind] * 2, AUTOPILOTS, folders))

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from flight_plans import relay_plan
-from flight_processes import Events, free_ports, simulator
+from flight_processes import Events, free_ports, mode_seen, simulator
 from gcs.flight import FlightState
 from link.control_socket import SOCKET_FILE, ControlServer, connect
 from link.errors import EndpointError, FlightRequestError
@@ -154,25 +154,8 @@ def test_a_killed_streamer_means_silence_and_the_vehicles_own_failsafe(autopilot
         assert "died" in result.reason
         assert events.all[-1].data["what"] == "streamer died"
         # A listener of its own sees the failsafe act: HOLD, or the return (ArduPilot: 5 s after the last heartbeat).
-        from link.codec import StationCodec
-        from link.dialect import mavlink
-        from link.endpoint import open_endpoint
-        from link.profiles import PROFILES
-
-        profile, codec = PROFILES[autopilot], StationCodec(99)
         expected = {"px4": "HOLD", "ardupilot": "RTL"}[autopilot]
-        mode = None
-        with open_endpoint(vehicle.links["s3"]) as link:
-            deadline = time.monotonic() + 30.0
-            while mode != expected and time.monotonic() < deadline:
-                # TIMESYNC says where to answer and commands nothing.
-                link.send(codec.encode(mavlink.MAVLink_timesync_message(0, 1)))
-                time.sleep(0.05)
-                for data in link.receive():
-                    for message in codec.decode(data):
-                        if profile.is_autopilot(message):
-                            mode = profile.mode_of(message)
-        assert mode == expected
+        assert mode_seen(vehicle.links["s3"], autopilot, expected) == expected
 
 
 @pytest.mark.slow

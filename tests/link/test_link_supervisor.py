@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from flight_plans import relay_plan, wide_plan
-from flight_processes import ROOT, Events, bad_links, free_ports, simulator
+from flight_processes import Events, alive, bad_links, free_ports, kill, simulator, start_attended
 from gcs.flight import FlightEvent, FlightState, TransitionError
 from gcs.mission import LocalPosition
 from gcs.replan import replan
@@ -34,14 +30,6 @@ def idle_request(**changes: object) -> FlightRequest:
         links=dict(zip(plan.station_ids, urls, strict=True)),
         **changes,  # type: ignore[arg-type]
     )
-
-
-def alive(pid: int) -> bool:
-    """Whether a process runs; one that ended and was not fetched by its parent does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def test_no_vehicle_is_a_refused_flight_with_a_reason_and_no_process_left(tmp_path: Path) -> None:
@@ -185,17 +173,6 @@ def test_a_plan_given_in_the_air_is_flown_by_the_streamer(tmp_path: Path) -> Non
     assert [e.data["before"] for e in told] == [plan.plan_sha256]
 
 
-PARENT = """
-import json, sys, time
-from pathlib import Path
-from link.flight import FlightRequest
-from link.supervisor import start_flight
-flight = start_flight(FlightRequest.from_document(json.load(open(sys.argv[1]))), run_dir=Path(sys.argv[2]))
-print(flight.pid, flush=True)
-time.sleep(600)
-"""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_a_killed_parent_does_not_disturb_the_flight(autopilot: str, tmp_path: Path) -> None:
@@ -203,21 +180,11 @@ def test_a_killed_parent_does_not_disturb_the_flight(autopilot: str, tmp_path: P
     run = tmp_path / "run"
     with simulator(plan, autopilot, SPEEDUP) as vehicle:
         request = vehicle.request(plan, autopilot, SPEEDUP, log_path=str(tmp_path / "flight.tlog"))
-        (tmp_path / "request.json").write_text(json.dumps(request.to_document()))
-        parent = subprocess.Popen(
-            [sys.executable, "-c", PARENT, str(tmp_path / "request.json"), str(run)],
-            stdout=subprocess.PIPE,
-            cwd=ROOT,
-            start_new_session=True,
-        )
-        assert parent.stdout is not None
-        pid = int(parent.stdout.readline())
+        parent, pid = start_attended(request, tmp_path)
         deadline = time.monotonic() + 60.0
         while time.monotonic() < deadline and '"cruise"' not in (run / "events.jsonl").read_text():
             time.sleep(0.05)
-        os.kill(parent.pid, signal.SIGKILL)
-        parent.wait()
-        parent.stdout.close()
+        kill(parent)
         while time.monotonic() < deadline + 60.0 and alive(pid):
             time.sleep(0.05)
     assert not alive(pid)
@@ -228,6 +195,12 @@ def test_a_killed_parent_does_not_disturb_the_flight(autopilot: str, tmp_path: P
     assert killed["state"] in ("takeoff", "transit", "cruise")
     from link.report import report_flight
 
-    report = report_flight(tmp_path / "flight.tlog", plan)
+    report = report_flight(tmp_path / "flight.tlog", plan, run / "events.jsonl")
     assert report.reached
     assert [h.index for h in report.handovers] == [1, 2]
+    assert report.lateness_from == "streamer"
+    assert {link.station for link in report.links} == set(plan.station_ids)
+    for link in report.links:
+        assert link.loss == 0.0
+        assert link.probes > 10
+        assert link.failovers == 0
