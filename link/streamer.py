@@ -52,6 +52,7 @@ from link.tlog import TlogWriter
 
 EXIT_FAULT, EXIT_REFUSED_REQUEST = 1, 2
 REAL_TIME_PRIORITY = 10
+"""Of the flight; the thread that writes its logs is one below."""
 UPKEEP_S = 0.25
 """Endpoints are looked after at least this often, heard or not."""
 LINGER_S = 0.5
@@ -85,6 +86,8 @@ class Recorder:
         self._thread.join(5.0)
 
     def _run(self) -> None:
+        # Kept waiting for a processor while it holds the interpreter's lock, it would keep the flight waiting.
+        raise_priority(REAL_TIME_PRIORITY - 1)
         while (item := self._queue.get()) is not None:
             kind, now_s, data = item
             try:
@@ -164,16 +167,16 @@ def open_links(request: FlightRequest) -> dict[str, Endpoint]:
     return endpoints
 
 
-def raise_priority() -> str:
+def raise_priority(priority: int = REAL_TIME_PRIORITY) -> str:
     """Real-time scheduling for this thread where permitted; what was got."""
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):
         with contextlib.suppress(OSError):
             os.nice(-10)
             return "nice -10"
         return "ordinary"
-    return f"SCHED_FIFO {REAL_TIME_PRIORITY}"
+    return f"SCHED_FIFO {priority}"
 
 
 class Streamer:

@@ -125,7 +125,7 @@ def quiet_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     threshold, interval_s = gc.get_threshold(), sys.getswitchinterval()
     monkeypatch.setattr(streamer_module, "FlightCore", Core)
-    monkeypatch.setattr(streamer_module, "raise_priority", lambda: "as it was")
+    monkeypatch.setattr(streamer_module, "raise_priority", lambda *_: "as it was")
     yield
     for number, handler in handlers.items():
         signal.signal(number, handler)
@@ -728,6 +728,18 @@ def test_real_time_where_permitted_a_better_nice_value_else_and_otherwise_as_it_
     assert nice == [-10]
     monkeypatch.setattr(os, "nice", refuse)
     assert raise_priority() == "ordinary"
+
+
+def test_who_writes_the_logs_is_as_urgent_as_the_flight_or_would_hold_it_up(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda pid, policy, param: asked.append((threading.get_ident(), param.sched_priority))
+    )
+    Recorder(tmp_path, None, 0.0).close()
+    assert [priority for _, priority in asked] == [9]
+    assert asked[0][0] != threading.get_ident()
 
 
 def open_files() -> list[str]:
