@@ -39,7 +39,8 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> LaidOut:
     options, limits, plane = mission.options, mission.limits, ground.plane
     less_margin = ground.full_ranges_m - options.range_margin_m
     planned = ground.inner_ranges_m(less_margin)
-    kept = np.array([s.id not in options.excluded_stations for s in mission.stations]) & (planned > 0.0)
+    excluded = frozenset(options.excluded_stations)
+    kept = np.array([s.id not in excluded for s in mission.stations]) & (planned > 0.0)
     stations = np.flatnonzero(kept)
     start, destination = ground.enu_m([mission.start, mission.destination])
     if not len(stations):

@@ -15,7 +15,7 @@ from gcs.errors import Fault, MissionError
 # MAVLink system ids run from 1 to 255; 255 is what ground-station programs come with, and 0 is everybody.
 LOWEST_SYSTEM_ID, HIGHEST_SYSTEM_ID = 1, 254
 FIRST_DEFAULT_SYSTEM_ID = 241
-MAX_STATIONS = 10_000
+MAX_STATIONS = 100_000
 
 
 @dataclass(frozen=True)
@@ -210,6 +210,11 @@ def assign_system_ids(given: Sequence[int | None], used: Sequence[int], vehicle_
                 for index, system_id in zip(missing, free, strict=False):
                     result[index] = system_id
                 return result
+    room = HIGHEST_SYSTEM_ID - LOWEST_SYSTEM_ID
+    if len(used) > room:
+        what = f"{len(used)} are flown, and system ids tell no more than {room} apart"
+        fix = "lower max_handovers, or fly it as several missions"
+        raise MissionError([Fault("stations", what, len(used), f"at most {room} in one flight", fix)])
     raise MissionError(
         [
             Fault(

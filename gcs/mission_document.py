@@ -61,6 +61,8 @@ MAX_SPAN_M = 1_000_000.0
 MAX_SPEED_M_S = 1_000.0
 MAX_TIME_S = 1_000_000.0
 MAX_SAFE_POINTS = 1_000
+# As long as so few faults are found, it is said what a wrong id may have been meant for.
+MAX_GUESSES = 10
 
 
 def parse_mission_json(
@@ -113,7 +115,8 @@ def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Missi
     _unique_ids("stations", [s.id for s in stations], faults)
     _unique_ids("safe_points", [p.id for p in safe_points], faults)
     _check_system_ids(stations, options.vehicle_system_id, faults)
-    if stations and all(s.id in options.excluded_stations for s in stations):
+    excluded = frozenset(options.excluded_stations)
+    if stations and all(s.id in excluded for s in stations):
         what, fix = "leaves no station", "leave at least one of them in"
         faults.add("options.excluded_stations", what, list(options.excluded_stations), "not every station", fix)
     if not local and not faults:
@@ -231,9 +234,11 @@ def _options(reader: Reader, station_ids: list[str]) -> MissionOptions:
         "vehicle_system_id", LOWEST_SYSTEM_ID, HIGHEST_SYSTEM_ID, default=default.vehicle_system_id
     )
     excluded: list[str] = []
+    known = frozenset(station_ids)
     for i, item in enumerate(reader.items("excluded_stations", MAX_STATIONS)):
-        if not isinstance(item, str) or item not in station_ids:
-            close = difflib.get_close_matches(str(item), station_ids, n=1)
+        if not isinstance(item, str) or item not in known:
+            # Looking for what was meant takes a second on the largest maps.
+            close = difflib.get_close_matches(str(item), station_ids, n=1) if len(reader.faults) < MAX_GUESSES else []
             fix = f"did you mean {close[0]}?" if close else "give the id of a station of this mission"
             where = reader.path(f"excluded_stations[{i}]")
             reader.faults.add(where, "is no station of this mission", item, "ids of stations", fix)

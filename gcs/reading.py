@@ -15,7 +15,7 @@ from collections.abc import Collection, Mapping, Sequence, Set
 
 from gcs.errors import Fault, MissionError
 
-MAX_DOCUMENT_BYTES = 5_000_000
+MAX_DOCUMENT_BYTES = 50_000_000
 MAX_FAULTS = 200
 _IDENTIFIER = re.compile(r"[^\W_][\w .\-:+#()'&]*")
 

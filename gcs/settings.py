@@ -40,9 +40,14 @@ class Settings(BaseSettings):
         default=60.0, gt=0, le=3600, description="A planner that takes longer is killed, and the fallback method tried."
     )
     max_document_bytes: int = Field(
-        default=5_000_000, ge=1_000, le=100_000_000, description="Largest mission document."
+        default=10_000_000, ge=1_000, le=100_000_000, description="Largest mission document."
     )
-    max_stations: int = Field(default=10_000, ge=1, le=100_000, description="Most stations of a mission.")
+    max_stations: int = Field(
+        default=30_000,
+        ge=1,
+        le=100_000,
+        description="Most stations of a mission; a document of so many must fit into max_document_bytes too.",
+    )
     max_queued_missions: int = Field(default=1_000, ge=1, description="Missions that may wait for a planner.")
     lock_timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait for a locked database.")
     log_level: Literal["debug", "info", "warning", "error"] = "info"

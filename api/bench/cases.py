@@ -143,7 +143,7 @@ def crowd(stations: int, seed: int) -> Problem:
 
     Twice as dense as the paper's largest map, whose ranges at that density hardly chain together over long distances.
     The ends are the stations nearest two opposite corners among those that most others are chained to. Built in the
-    plane, since a mission document holds no more than 10,000 stations.
+    plane: routing alone is asked of it.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components

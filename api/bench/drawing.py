@@ -176,10 +176,11 @@ def profiles(figure: Any, problem: Problem, curves: Sequence[Curve], title: str,
 
 def plain_logarithmic(axis: Any) -> None:
     """Ticks of a logarithmic axis as plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(ScalarFormatter())
+    # As short as each number is: one form for all would round the small ones.
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 

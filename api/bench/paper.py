@@ -110,7 +110,8 @@ def run(
     """Measure what ``results`` lacks, and units named in ``again`` anew; a row of everything for each mission.
 
     ``kept_only``: measure nothing but ``again``. Missions of which Table 4 is not complete are then left out, and
-    ``enumeration`` is None where there is none yet.
+    ``enumeration`` is None where there is none yet; one that went through the sequences in another order, as earlier
+    versions did, has a field ``order``. ``longer`` is the enumeration under the longest limit, if longer than asked.
 
     Raises what `Mission.from_document` and the planners raise for a mission that cannot be used.
     """
@@ -121,12 +122,14 @@ def run(
         mission = Mission.from_document(case.document).with_options(PAPER_OPTIONS)
         problem = lay_out(mission).problem
         measured: dict[str, Any] = {"name": case.name, "stations": len(mission.stations), "allocations": {}}
-        measured["enumeration"] = None
+        measured["enumeration"] = measured["longer"] = None
         lacking = set()
         for unit in units(settings):
             found = results.get(unit.name, key, unit.settings)
             if found is None and unit.name == "enumeration":
                 found = _finished(results, key)
+                if found is None and kept_only:
+                    found = _in_another_order(results, key, settings.time_limit_s)
             if found is None and kept_only and unit.name not in again:
                 lacking.add(unit.name)
                 continue
@@ -138,6 +141,8 @@ def run(
                 measured["allocations"][unit.settings["method"]] = found
             else:
                 measured[unit.name] = found
+        if not (measured["enumeration"] or {}).get("complete"):
+            measured["longer"] = _longest(results, key, settings.time_limit_s)
         if lacking <= {"enumeration"}:
             rows.append(measured)
     return rows
@@ -149,6 +154,28 @@ def _finished(results: Results, mission: str) -> dict[str, Any] | None:
         if measured["complete"] and (settings["delta_t_s"], settings.get("order")) == (DELTA_T_S, EM_ORDER):
             return measured
     return None
+
+
+def _in_another_order(results: Results, mission: str, time_limit_s: float) -> dict[str, Any] | None:
+    for settings, measured in results.of("enumeration", mission):
+        same = (settings["delta_t_s"], settings["time_limit_s"]) == (DELTA_T_S, time_limit_s)
+        if same and settings.get("order") != EM_ORDER:
+            return {**measured, "order": settings.get("order", "depth first")}
+    return None
+
+
+def _longest(results: Results, mission: str, time_limit_s: float) -> dict[str, Any] | None:
+    """The enumeration under the longest limit of those longer than ``time_limit_s``, and that ``time_limit_s``."""
+    longer = [
+        (settings["time_limit_s"], measured)
+        for settings, measured in results.of("enumeration", mission)
+        if settings["time_limit_s"] > time_limit_s
+        and (settings["delta_t_s"], settings.get("order")) == (DELTA_T_S, EM_ORDER)
+    ]
+    if not longer:
+        return None
+    limit_s, measured = max(longer, key=lambda one: one[0])
+    return {**measured, "time_limit_s": limit_s}
 
 
 # -- the measurements --------------------------------------------------------------------------------------------------
@@ -263,11 +290,16 @@ def _processor() -> str:
 # -- the tables --------------------------------------------------------------------------------------------------------
 
 
-def table_3(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of Table 3: decoupling against enumeration (None where it was not measured), and this planner."""
+def table_3(rows: Sequence[dict[str, Any]], which: str = "enumeration") -> list[dict[str, Any]]:
+    """Rows of Table 3: decoupling against enumeration (None where it was not measured), and this planner.
+
+    ``which``: ``"longer"`` for the enumerations under a longer limit, of the missions that have one.
+    """
     found = []
     for row in rows:
-        plans, em = row["plans"], row["enumeration"] or {}
+        if which == "longer" and row["longer"] is None:
+            continue
+        plans, em = row["plans"], row[which] or {}
         found.append(
             {
                 "name": row["name"],
@@ -281,6 +313,8 @@ def table_3(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 },
                 "rank_dc": em.get("rank_dc"),
                 "complete": em.get("complete"),
+                "order": em.get("order", EM_ORDER if em else None),
+                "time_limit_s": em.get("time_limit_s"),
                 "cpu_s": {
                     "em": em.get("cpu_s"),
                     "dc": plans["decoupling"]["cpu_s"],

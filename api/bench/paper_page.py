@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from api.bench.paper import ALLOCATIONS
+from api.bench.paper import ALLOCATIONS, EM_ORDER
 
 
 def page(document: dict[str, Any]) -> str:
@@ -28,9 +28,11 @@ def page(document: dict[str, Any]) -> str:
         "## Table 3: enumeration (EM) and decoupling (DC)",
         "",
         "Sequences EM planned, and branches it passed over; +: it was cut short. Mission and processor times in s.",
+        *_other_orders(document["table_3"]),
         "",
         *_table_3(document["table_3"]),
         "",
+        *_longer(document["table_3_longer"]),
         "## Table 4: mission time in s along Dijkstra's sequence",
         "",
         "T, P: unknowns. In bold: the best of the paper's eight methods. Last: this planner, on its own sequence.",
@@ -57,6 +59,28 @@ def _summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     return _table(["stations", "missions", *names], body)
 
 
+def _other_orders(rows: Sequence[dict[str, Any]]) -> list[str]:
+    if not any(_by_another(row) for row in rows):
+        return []
+    return ["*: measured by an earlier version, which went through the sequences depth first; not measured anew yet."]
+
+
+def _by_another(row: dict[str, Any]) -> bool:
+    return row["order"] not in (None, EM_ORDER)
+
+
+def marks(row: dict[str, Any]) -> str:
+    """What is said of the enumeration in a row of Table 3: + cut short, * by another order of the sequences."""
+    return ("+" if row["complete"] is False else "") + ("*" if _by_another(row) else "")
+
+
+def _longer(rows: Sequence[dict[str, Any]]) -> list[str]:
+    if not rows:
+        return []
+    limits = " or ".join(f"{limit:g} s" for limit in sorted({row["time_limit_s"] for row in rows}))
+    return ["Where that was too short, once more, for " + limits + ":", "", *_table_3(rows), ""]
+
+
 def _table_3(rows: Sequence[dict[str, Any]]) -> list[str]:
     titles = [
         "mission",
@@ -74,7 +98,7 @@ def _table_3(rows: Sequence[dict[str, Any]]) -> list[str]:
     body = []
     for row in rows:
         times, seconds = row["mission_time_s"], row["cpu_s"]
-        more = "+" if row["complete"] is False else ""
+        more = marks(row)
         body.append(
             [
                 row["name"],

@@ -12,6 +12,7 @@ import pytest
 
 from api.bench import paper
 from api.bench.cases import Case
+from api.bench.paper_page import marks
 from api.bench.results import Results, ResultsError, fingerprint
 from tests.api.conftest import Outcome
 from tests.malformed_missions import GOOD_LOCAL
@@ -230,6 +231,37 @@ def test_ranks_and_gaps_are_hand_worked() -> None:
     # A duration a segment; six control points of three coordinates a segment.
     assert table["variables"] == {"T": 3, "P": 54}
     assert paper.table_3([row])[0]["sequences"] == {"em": 3, "em_pruned": 2, "dc": 1}
+
+
+def test_what_another_order_or_a_longer_limit_measured_is_shown_as_that() -> None:
+    """EM of an earlier version is marked, and never taken for this one's; a longer run has a table of its own."""
+    settings = paper.Settings(time_limit_s=0.1, rival_limit_s=0.02)
+    case, results, told = Case("one", GOOD_LOCAL), Results(), []
+    (row,) = paper.run([case], settings, results, tell=told.append)
+    mission = fingerprint(GOOD_LOCAL)
+    kept = {**row["enumeration"], "complete": False}
+    of_old = {"time_limit_s": 0.1, "delta_t_s": paper.DELTA_T_S}
+    old = Results()
+    for unit in paper.units(settings):
+        if unit.name != "enumeration":
+            found = results.get(unit.name, mission, unit.settings)
+            assert found is not None
+            old.add(unit.name, mission, unit.settings, found)
+    old.add("enumeration", mission, of_old, kept)
+    (row,) = paper.run([case], settings, old, kept_only=True, tell=told.append)
+    (cells,) = paper.table_3([row])
+    assert (cells["order"], marks(cells)) == ("depth first", "+*")
+    assert paper.table_3([row], "longer") == []
+    # The same under a longer limit and in this order: beside it, not in its place.
+    old.add("enumeration", mission, {**of_old, "time_limit_s": 9.0, "order": paper.EM_ORDER}, {**kept, "planned": 77})
+    (row,) = paper.run([case], settings, old, kept_only=True, tell=told.append)
+    assert paper.table_3([row])[0]["sequences"]["em"] == 1
+    (longer,) = paper.table_3([row], "longer")
+    assert (longer["sequences"]["em"], longer["time_limit_s"], marks(longer)) == (77, 9.0, "+")
+    # And where it may measure, it does not take the old one.
+    before = len(told)
+    paper.run([case], settings, old, tell=told.append)
+    assert [text.split(", ")[-2:] for text in told[before:]] == [["EM", "0.1 s"]]
 
 
 def test_convergence_keeps_what_gains_and_the_end() -> None:

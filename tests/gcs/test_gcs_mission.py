@@ -66,6 +66,20 @@ def test_garbage_does_not_make_an_endless_answer() -> None:
     assert len(str(caught.value)) < 10_000
 
 
+def test_garbage_on_a_large_map_is_answered_soon() -> None:
+    """Twenty thousand strangers excluded from a map of twenty thousand: linear work, and a guess for the first few."""
+    stations = [{**GOOD["stations"][0], "id": f"S{k}"} for k in range(20_000)]
+    excluded = [f"S{k}x" for k in range(20_000)]
+    with pytest.raises(MissionError) as caught:
+        Mission.from_document({**GOOD, "stations": stations, "options": {"excluded_stations": excluded}})
+    assert len(caught.value.problems) <= 200
+    assert "did you mean" in str(caught.value)
+    kept = Mission.from_document(
+        {**GOOD, "stations": stations, "options": {"excluded_stations": [f"S{k}" for k in range(1, 20_000)]}}
+    )
+    assert len(kept.options.excluded_stations) == 19_999
+
+
 def test_limits_of_size() -> None:
     with pytest.raises(MissionError, match="at most 100 bytes"):
         parse_mission_json(json.dumps(GOOD), max_bytes=100)
@@ -189,8 +203,10 @@ def test_ids_fill_the_smallest_range_that_holds_those_given() -> None:
 
 
 def test_more_stations_than_ids_is_bad_input() -> None:
-    with pytest.raises(MissionError, match="no contiguous range"):
+    with pytest.raises(MissionError, match="254 are flown, and system ids tell no more than 253 apart"):
         assign_system_ids([None] * 254, list(range(254)), 1)
+    with pytest.raises(MissionError, match="no contiguous range"):
+        assign_system_ids([3, 5, None], [0, 1, 2], 4)
     assert sorted(i for i in assign_system_ids([None] * 253, list(range(253)), 1) if i) == list(range(2, 255))
 
 
