@@ -217,8 +217,17 @@ def before_the_handover(autopilot: str, way: str) -> VirtualFlight:
 def owners_confirmed(one: VirtualFlight, faults: tuple[str, ...], loss: float, seed: int) -> tuple[int, int]:
     """Fly on with answers going wrong; (confirmations, of them false).
 
-    Of a vehicle that arbitrates the truth is whom it has in control; of any other, that it obeys the new station.
+    Of a vehicle that arbitrates the truth is whom it has in control; of any other, that it obeys the new station: that
+    it has taken a setpoint of it, or carried out a command.
     """
+    obeyed, carry_out = set(), one.vehicle.personality.on_command
+
+    def on_command(command: Any) -> Any:
+        obeyed.add(one.links[command.link])
+        return carry_out(command)
+
+    one.vehicle.personality.on_command = on_command  # type: ignore[method-assign]
+    before = len(one.accepted)
     one.proxy = Proxy(seed=seed, loss=loss, latency_s=0.02)
     one.vehicle.faults = FaultSet(faults, one.vehicle)
     # Times after ``T`` count from here.
@@ -235,9 +244,9 @@ def owners_confirmed(one: VirtualFlight, faults: tuple[str, ...], loss: float, s
             if event.data.get("event") == "evidence":
                 confirmed += 1
                 station = str(event.data["to"])
-                obeyed = any(a.station == station for a in one.accepted)
+                obeyed |= {a.station for a in one.accepted[before:]}
                 in_control = control is not None and control.owner == one.core.context.system_ids[station]
-                false += not (obeyed if control is None else in_control)
+                false += not (station in obeyed if control is None else in_control)
             if event.data.get("state") == "released":
                 released_s = event.time_s
         told = len(one.events)
