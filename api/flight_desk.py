@@ -21,6 +21,7 @@ import structlog
 from api.flight_fold import FlightFold
 from api.watchers import Changes
 from gcs.errors import ConflictError, NotFoundError, StoreError
+from gcs.exports import write_atomic
 from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
 from gcs.plan import Plan
 from gcs.settings import Settings
@@ -34,6 +35,7 @@ log = structlog.get_logger("api.flights")
 # Where the vehicle is comes once a second; the history keeps one so often (wall seconds).
 _KEEP_PROGRESS_S = 5.0
 PREFLIGHT_VALID_S = 60.0
+_PROPOSALS_KEPT = 20
 
 
 class _Journal:
@@ -239,13 +241,44 @@ class FlightDesk:
         """Give a flight another plan to fly from here on. Raises as `command` does."""
         self._running(flight_id).replan(document, **fields)
 
+    def keep_proposal(self, flight_id: str, proposal: Mapping[str, Any]) -> None:
+        """Keep a plan proposed to a flight, by the plan's hash, in its run folder: a service that starts anew finds it.
+
+        The last `_PROPOSALS_KEPT` are kept.
+        """
+        folder = self._run_dir(flight_id)
+        write_atomic(folder / f"proposal-{proposal['plan']['plan_sha256']}.json", json.dumps(proposal, allow_nan=False))
+        by_age = sorted(folder.glob("proposal-*.json"), key=lambda path: path.stat().st_mtime_ns)
+        for path in by_age[:-_PROPOSALS_KEPT]:
+            path.unlink(missing_ok=True)
+
+    def proposal(self, flight_id: str, plan_sha256: str) -> dict[str, Any]:
+        """What `keep_proposal` kept. Raises `NotFoundError`."""
+        try:
+            kept: dict[str, Any] = json.loads((self._run_dir(flight_id) / f"proposal-{plan_sha256}.json").read_bytes())
+        except (OSError, ValueError):
+            raise NotFoundError(
+                f"no plan {plan_sha256} is proposed to flight {flight_id}: ask for one and accept that"
+            ) from None
+        return kept
+
+    def request(self, flight_id: str) -> FlightRequest:
+        """What a flight was asked to do. Raises `NotFoundError`."""
+        try:
+            return FlightRequest.from_document(json.loads((self._run_dir(flight_id) / "request.json").read_bytes()))
+        except (OSError, ValueError):
+            raise NotFoundError(f"what flight {flight_id} was asked to do is not kept any more") from None
+
+    def _run_dir(self, flight_id: str) -> Path:
+        return Path(self._store.flights.get(flight_id).document.get("run_dir") or "/nonexistent")
+
     def status(self, flight_id: str) -> dict[str, Any]:
         """What the streamer says of a flight now. Raises as `command` does, but no `TransitionError`."""
         return self._running(flight_id).status()
 
     def replanned(self, flight_id: str, plan_sha256: str) -> dict[str, Any]:
         """A plan that was given to a flight in the air. Raises `NotFoundError`."""
-        folder = Path(self._store.flights.get(flight_id).document.get("run_dir") or "/nonexistent")
+        folder = self._run_dir(flight_id)
         try:
             document: dict[str, Any] = json.loads((folder / f"plan-{plan_sha256}.json").read_bytes())
         except (OSError, ValueError):

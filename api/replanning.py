@@ -1,27 +1,27 @@
 """Planning a flight anew while it flies: a proposal from its present state, and a person's acceptance of it.
 
 Planning happens in the planning processes; the streamer judges what it is given once more and takes it over between two
-ticks (`link.replan`). A proposal costs nothing: the flight goes on as it was until one is accepted.
+ticks (`link.replan`). A proposal costs nothing: the flight goes on as it was until one is accepted. It is judged by the
+rules of a launch, and kept with the flight.
 """
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from api.flight_desk import FlightDesk
 from api.problems import ConflictError
-from gcs.errors import MissionInfeasible, NotFoundError, PlanningCancelled, PlanningFailed
+from gcs.errors import MissionInfeasible, PlanningCancelled, PlanningFailed
 from gcs.flight import FlightState
 from gcs.jobs import PlanningPool
+from gcs.plan import Plan
 from gcs.replan import ReplanOrder
+from link.replan import judge_next
 
-_MOST_KEPT = 200
 _LIMIT_S = 20.0
 # A join that falls into a handover is tried again so much later.
 _LATER_S = (0.0, 6.0, 12.0)
@@ -31,7 +31,10 @@ _NOTICE_S = 1.0
 
 @dataclass(frozen=True)
 class Proposal:
-    """A plan offered to a flight; ``decide_by_t_plus_s`` is None for a flight that stands: it may take its time."""
+    """A plan offered to a flight; ``decide_by_t_plus_s`` is None for a flight that stands: it may take its time.
+
+    ``checks`` are the findings about it, the worst first: a ``failure`` is what it will be refused for.
+    """
 
     plan: Mapping[str, Any]
     join_s: float
@@ -39,6 +42,7 @@ class Proposal:
     at_rest: bool
     shift_s: float
     decide_by_t_plus_s: float | None
+    checks: Sequence[Mapping[str, Any]]
 
     def to_document(self) -> dict[str, Any]:
         """As `api.schemas.ReplanProposal`."""
@@ -55,18 +59,17 @@ class Proposal:
                 {"index": h["index"], "from": h["from"], "to": h["to"], "t_plus_s": h["time_s"] + self.shift_s}
                 for h in upcoming
             ],
+            "checks": list(self.checks),
             "plan": plan,
         }
 
 
 class Replanning:
-    """Proposals of all flights; the last of them are kept, in memory alone."""
+    """Proposals of all flights."""
 
     def __init__(self, desk: FlightDesk, pool: PlanningPool) -> None:
         self._desk = desk
         self._pool = pool
-        self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[str, str], Proposal] = OrderedDict()
 
     def propose(
         self,
@@ -105,7 +108,7 @@ class Replanning:
                 handovers_done=int(status["handovers_done"]),
             )
             try:
-                return self._keep(flight_id, self._planned(order), shift_s)
+                return self._keep(flight_id, self._planned(order), shift_s, float(status["loss_timeout_s"]))
             except MissionInfeasible as error:
                 refusal = refusal or error
                 if error.reason != "join":
@@ -123,23 +126,20 @@ class Replanning:
         except (PlanningFailed, PlanningCancelled, FutureTimeoutError, CancelledError) as error:
             raise ConflictError(str(error) or "planning took too long", kind="planning-failed") from None
 
-    def _keep(self, flight_id: str, made: Mapping[str, Any], shift_s: float) -> Proposal:
+    def _keep(self, flight_id: str, made: Mapping[str, Any], shift_s: float, loss_timeout_s: float) -> Proposal:
         at_rest, leave_s, join_s = bool(made["at_rest"]), float(made["leave_s"]), float(made["join_s"])
         decide_by_s = None if at_rest else leave_s - _NOTICE_S + shift_s
         # From rest the plan's time moves on by the braking it stands for; the clock does not.
         shift_s += leave_s - join_s
-        proposal = Proposal(made["plan"], join_s, leave_s, at_rest, shift_s, decide_by_s)
-        with self._lock:
-            self._kept[flight_id, str(made["plan"]["plan_sha256"])] = proposal
-            while len(self._kept) > _MOST_KEPT:
-                self._kept.popitem(last=False)
+        plan = Plan.from_document(made["plan"])
+        checks = judge_next(plan, self._desk.request(flight_id), loss_timeout_s=loss_timeout_s, after_s=join_s)
+        told = [check.to_document() for check in checks]
+        proposal = Proposal(made["plan"], join_s, leave_s, at_rest, shift_s, decide_by_s, told)
+        self._desk.keep_proposal(flight_id, asdict(proposal))
         return proposal
 
     def accept(self, flight_id: str, plan_sha256: str, *, by: str, reason: str) -> None:
         """A person's word: fly this proposal. Raises `NotFoundError`, and as `FlightDesk.command` does."""
-        with self._lock:
-            proposal = self._kept.get((flight_id, plan_sha256))
-        if proposal is None:
-            raise NotFoundError(f"no plan {plan_sha256} has been proposed to flight {flight_id}; ask for one")
+        proposal = Proposal(**self._desk.proposal(flight_id, plan_sha256))
         times = {"join_s": proposal.join_s, "leave_s": proposal.leave_s} if proposal.at_rest else {}
         self._desk.replan(flight_id, proposal.plan, by=by, reason=reason, **times)

@@ -422,6 +422,17 @@ class NewFlight(Closed):
     rate_hz: float | None = Field(None, ge=5, le=100, description="Setpoints a second; default 20.")
     speedup: float | None = Field(None, ge=0.1, le=1000, description="Our simulator at this factor, on loopback alone.")
     operator_words: bool | None = Field(None, description="Each handover waits for the next operator's `ready`.")
+    rally: bool | None = Field(
+        None, description="Upload the mission's safe points as rally points for the flight; default true."
+    )
+    fence: bool | None = Field(
+        None, description="Lay a fence around the plan and every straight way home, for the flight; default false."
+    )
+    handover_way: Literal["auto", "gate", "range", "parameter", "operator_control"] | None = Field(
+        None,
+        description="How the vehicle is told of a handover; default `auto`: by what it offers. `parameter`: ArduPilot "
+        "hears one station at a time and is told of each.",
+    )
 
 
 class LaunchWord(Closed):
@@ -455,7 +466,9 @@ class ReplanProposal(Closed):
     """A plan the flight could go on by. Nothing has changed until it is accepted.
 
     ``join_s`` is the time of the new plan from which it is new; it must be accepted before ``decide_by_t_plus_s``
-    (null: the flight stands and waits). ``handovers`` are those to come, with the T+ expected.
+    (null: the flight stands and waits). ``handovers`` are those to come, with the T+ expected. ``checks`` judge it by
+    the rules of a launch, the worst first: overlaps, margin, room to stop at each handover to come; it will be refused
+    where one is a ``failure``.
     """
 
     plan_sha256: str
@@ -465,6 +478,7 @@ class ReplanProposal(Closed):
     mission_time_s: float
     stations: list[str]
     handovers: list[dict[str, Any]]
+    checks: list[dict[str, Any]]
     plan: dict[str, Any]
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 
 from gcs.flight import EventKind, FlightState, TransitionError
+from link.battery_watch import BatteryWatch
 from link.context import FlightContext
 from link.custody import Custody
 from link.landing import Landing
@@ -53,6 +54,7 @@ class Airborne:
         self.lag = LagMonitor(context, self.lead)
         self.uplink = UplinkMonitor(context)
         self.range = RangeWatch(context)
+        self.battery = BatteryWatch(context)
         self.custody = Custody(context, launch, self.relay, self.lag, self.uplink, self.range)
         self.lapse = Lapse(context, self.relay, self.stream)
         self.landing = Landing(context)
@@ -120,6 +122,7 @@ class Airborne:
         self.lead.update(dt_s)
         self.uplink.update()
         self.range.update()
+        self.battery.update(None if self.line else self.stream.duration_s - self.reference.time_s)
         if state is FlightState.LAPSED:
             self._lapsed()
             return

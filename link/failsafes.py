@@ -17,6 +17,7 @@ import numpy as np
 
 from gcs.plan import Plan
 from link.checks import Check, Level
+from link.parameters import Asking
 from link.params import Parameter
 from link.profiles import AutopilotProfile
 
@@ -200,10 +201,13 @@ def _rules_ardupilot(least_s: float, values: Values) -> list[Rule]:
     ]
 
 
-def judge_failsafes(profile: AutopilotProfile, values: Values, rate_hz: float) -> list[Check]:
+def judge_failsafes(
+    profile: AutopilotProfile, values: Values, rate_hz: float, asking: Asking | None = None
+) -> list[Check]:
     """Findings about the parameters, for a stream of ``rate_hz`` setpoints a second.
 
-    ``values`` by `ParameterName.key`, None where the vehicle knows no such name.
+    ``values`` by `ParameterName.key`, None where the vehicle told none of its names; ``asking``: how it was asked,
+    where that is known.
     """
     least_s = max(LEAST_LOSS_TIMEOUT_S, LEAST_TICKS / rate_hz)
     rules = _rules_px4(least_s, values) if profile.name == "px4" else _rules_ardupilot(least_s, values)
@@ -212,13 +216,31 @@ def judge_failsafes(profile: AutopilotProfile, values: Values, rate_hz: float) -
         parameter = values.get(rule.key)
         if parameter is not None:
             checks.append(_judge(rule, parameter))
-        elif not rule.optional:
-            names = " or ".join(profile.parameter(rule.key).names)
-            fix = "is it the autopilot and firmware it should be, and is the link good?"
-            checks.append(
-                Check(names, rule.level, f"not told by the vehicle: {rule.why}", None, rule.required, fix=fix)
-            )
+        else:
+            checks += _missing(rule, profile.parameter(rule.key).names, asking)
     return checks + (_together_px4(values) if profile.name == "px4" else _together_ardupilot(values))
+
+
+def _missing(rule: Rule, names: tuple[str, ...], asking: Asking | None) -> list[Check]:
+    """A parameter without a value: the link may have lost it, or the vehicle has none."""
+    denied = asking is not None and asking.denied.issuperset(names)
+    if asking is not None and asking.unsure and not denied:
+        # It may be there and unsafe, whatever firmware without it would do.
+        level = Level.WARNING if rule.optional or rule.level < Level.FAILURE else Level.ERROR
+        told = (
+            f"no answer to {asking.attempts} questions, and the link loses {asking.loss:.0%} of them or of the answers"
+        )
+        fix = "whether the vehicle has it is not known: better the link (nearer, another channel or antenna), ask again"
+    elif rule.optional:
+        return []
+    elif denied:
+        level, told = rule.level, "the vehicle says that it has no such parameter"
+        fix = "is it the autopilot and firmware it should be?"
+    else:
+        silent = "" if asking is None else f" (no answer to {asking.attempts} questions)"
+        level, told = rule.level, f"not told by the vehicle{silent}"
+        fix = "it has no such parameter, as it seems: is it the autopilot and firmware it should be, and the link good?"
+    return [Check(" or ".join(names), level, f"{told}: {rule.why}", None, rule.required, fix=fix)]
 
 
 def judge_rally_limit(values: Values, plan: Plan, *, wanted: bool) -> list[Check]:

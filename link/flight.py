@@ -152,6 +152,8 @@ class FlightCore:
                 parameter = self.parameters.on_value(message)
                 if c.keeper is not None and parameter is not None:
                     c.keeper.on_value(parameter.name, parameter.value)
+            elif kind == "PARAM_ERROR":
+                self.parameters.on_error(message)
             elif kind.startswith("MISSION_"):
                 self.missions.on_message(c.now_s, message)
 
@@ -434,6 +436,7 @@ class FlightCore:
             "preflight_id": self.launch.preflight_id,
             "preflight_age_s": None if math.isinf(judged_s) else round(c.now_s - judged_s, 1),
             "fence": None if c.gate.fence is None else c.gate.fence.number,
+            "loss_timeout_s": self.launch.loss_timeout_s,
             **self.announcer.where(),
             "lateness": self.lateness.to_document(),
         }

@@ -201,7 +201,6 @@ class Handover:
         self.attempts += 1
         self._requested_s = self._c.now_s
         self._moved_s = math.inf
-        self._ticket = self._allow = None
         self._c.gate.accompany(self.border.to_station)
         self._event(HandoverEvent.REQUEST, reason)
         if self.way == "operator_control":
@@ -211,7 +210,7 @@ class Handover:
                 (1.0, 1.0, 10.0, float(self._c.system_ids[self.border.from_station])),
                 retry_s=0.2,
             )
-        elif self.way == "parameter" and self._c.keeper is not None and not reason:
+        elif self._c.keeper is not None and not reason:
             # Heard first, then in control; `_follow_up` moves it.
             if not self._c.keeper.ranged:
                 self._c.keeper.claimed = self.border.to_station
@@ -239,7 +238,7 @@ class Handover:
     def _follow_up(self) -> None:
         c = self._c
         if math.isinf(self._moved_s):
-            if self.way == "parameter" and c.keeper is not None:
+            if c.keeper is not None:
                 # An answer that was lost leaves two the vehicle may hear: the new one is tried for the other half.
                 unsure = c.now_s - self._requested_s >= 0.5 * self.attempt_s and not c.keeper.ranged
                 if c.keeper.hears(self.border.to_station) or unsure:

@@ -15,14 +15,14 @@ from gcs.own_return import Place, own_returns
 from link import ownership
 from link.checks import Check, Level, worst, worst_first
 from link.commands import Ticket
-from link.context import FlightContext
+from link.context import VEHICLE_STATION, FlightContext
 from link.dialect import mavlink
 from link.endpoint import is_local
 from link.fence import judge_limits
 from link.loan import Loan
 from link.mission_desk import MissionDesk
 from link.ownership import Ownership
-from link.parameters import ParameterClient
+from link.parameters import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.params import Parameter, encoding_of
 from link.preflight import (
     Identity,
@@ -56,6 +56,8 @@ STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
     # goes through theirs in steps of an eighth, shifted a little each time. ArduPilot keeps whole milliseconds.
     (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 1000.0 / 111.0),
     (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
+    # The battery.
+    (mavlink.MAVLINK_MSG_ID_SYS_STATUS, 1.0),
 )
 """What the station in control asks the vehicle to send, and how often, in Hz."""
 
@@ -68,6 +70,7 @@ class Launch:
         self.parameters = parameters
         self.loan = Loan(context, parameters, missions)
         self.values: dict[str, Parameter | None] = {}
+        self.asking = Asking()
         self.checks: list[Check] = []
         self.simulator_speedup: float | None = None
         self.loss_timeout_s = 1.0
@@ -246,12 +249,23 @@ class Launch:
         ]
 
     def _read(self) -> Steps[None]:
-        """Read every parameter the profile knows, under whichever of its names; the newest that answers counts."""
+        """Read every parameter the profile knows, under whichever of its names; the newest that answers counts.
+
+        On a link that may have lost every answer to a question, what is missing is asked for again.
+        """
         known = self._c.profile.parameters
         names = [*(name for parameter in known for name in parameter.names), SIMULATOR_PARAMETER]
-        asked = self.parameters.read(names, self._c.fence)
-        yield from wait_until(self._c, lambda: all(one.finished for one in asked), 60.0)
-        answers = {one.name: one.answer for one in asked}
+        asked: dict[str, Asked] = {}
+        for attempts in range(ATTEMPTS, MOST_ATTEMPTS + 1, ATTEMPTS):
+            missing = [name for name in names if name not in asked or not (asked[name].answer or asked[name].denied)]
+            again = self.parameters.read(missing, self._c.fence)
+            asked.update({one.name: one for one in again})
+            yield from wait_until(self._c, lambda a=again: all(one.finished for one in a), 60.0)  # type: ignore[misc]
+            denied = frozenset(one.name for one in asked.values() if one.denied)
+            self.asking = Asking(attempts, self._loss(), denied)
+            if not self.asking.unsure:
+                break
+        answers = {one.name: one.answer for one in asked.values()}
         self.values = {
             parameter.key: next((answers[n] for n in parameter.names if answers[n] is not None), None)
             for parameter in known
@@ -259,10 +273,15 @@ class Launch:
         simulator = answers[SIMULATOR_PARAMETER]
         self.simulator_speedup = None if simulator is None else float(simulator.value)
 
+    def _loss(self) -> float | None:
+        """Share of questions that go unanswered lately on the link of the station in control, by its probes."""
+        station = self._c.fence.station_id.removesuffix(VEHICLE_STATION)
+        return self._c.monitor.links[station].active.round_loss(self._c.now_s)
+
     def _failsafes(self) -> Steps[list[Check]]:
         """Judge the parameters; set what is unsafe where that is allowed, and judge again what is read back."""
         c = self._c
-        checks = judge_parameters(c.profile, self.values, c.request)
+        checks = judge_parameters(c.profile, self.values, c.request, self.asking)
         allowed = c.request.set_parameters == "yes" or (
             c.request.set_parameters == "auto" and self.simulator_speedup is not None
         )
@@ -277,7 +296,7 @@ class Launch:
             yield from wait_until(c, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
             c.emit(EventKind.PARAMETER, name=name, before=check.value, after=value if setting.confirmed else None)
         yield from self._read()
-        return judge_parameters(c.profile, self.values, c.request)
+        return judge_parameters(c.profile, self.values, c.request, self.asking)
 
     def _judge_links(self) -> Steps[list[Check]]:
         """Every station's link: heard and answered. A real vehicle on the ground is out of most stations' range."""

@@ -1,8 +1,9 @@
 """Reading and setting a vehicle's parameters over lossy links.
 
-The parameter protocol has no negative answer: an unknown name and a set of the wrong type are both met with silence,
-and a set is confirmed only by the PARAM_VALUE that comes back. So everything is asked several times, and nothing is
-believed that has not been read back.
+The parameter protocol had no negative answer for long: an unknown name and a set of the wrong type are both met with
+silence, and a set is confirmed only by the PARAM_VALUE that comes back. So everything is asked several times, and
+nothing is believed that has not been read back. Silence may be the link's: `Asking` tells how likely that is. Where a
+vehicle does say that it has no such parameter (PARAM_ERROR, 345), it is not asked again.
 """
 
 from __future__ import annotations
@@ -21,18 +22,38 @@ ASK_AGAIN_S = 0.5
 ATTEMPTS = 8
 MOST_A_STEP = 12
 """Questions in one step."""
+UNSURE = 1e-4
+"""Where the link alone may have swallowed every answer with more than this probability, silence says nothing."""
+MOST_ATTEMPTS = 24
 
 
 @dataclass
 class Asked:
-    """A name asked for: ``answer`` once it came; ``finished`` without one means that nobody knows the name."""
+    """A name asked for: ``answer`` once it came; ``denied``: the vehicle says it has no such parameter; ``finished``
+    with neither means silence (see `Asking`)."""
 
     name: str
     fence: Fence
     attempts: int = 0
     next_s: float = -math.inf
     answer: Parameter | None = None
+    denied: bool = False
     finished: bool = False
+
+
+@dataclass(frozen=True)
+class Asking:
+    """How parameters were asked for: ``attempts`` times each at least, over a link that loses the share ``loss`` of
+    questions or answers (None: not measured); ``denied`` are the names the vehicle says it does not have."""
+
+    attempts: int = ATTEMPTS
+    loss: float | None = None
+    denied: frozenset[str] = frozenset()
+
+    @property
+    def unsure(self) -> bool:
+        """Whether a parameter without an answer may well be one whose answers were all lost."""
+        return self.loss is not None and self.loss**self.attempts > UNSURE
 
 
 @dataclass
@@ -91,6 +112,13 @@ class ParameterClient:
             setting.confirmed = setting.finished = True
             del self._settings[parameter.name]
         return parameter
+
+    def on_error(self, message: Any) -> None:
+        """Take a PARAM_ERROR of the vehicle: a name it does not have is not asked for again."""
+        if message.error == mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST:
+            asked = self._asked.pop(str(message.param_id), None)
+            if asked is not None:
+                asked.denied = asked.finished = True
 
     def step(self, now_s: float) -> None:
         """Ask again what is due, a few at a time, and give up what was asked often enough."""

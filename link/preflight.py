@@ -15,6 +15,7 @@ from gcs.own_return import OwnReturn, Place, ReturnRules
 from gcs.plan import Plan
 from link.checks import Check, Level
 from link.failsafes import Values, judge_failsafes, judge_rally_limit
+from link.parameters import Asking
 from link.profiles import AutopilotProfile
 from link.projection import EkfOrigin
 from link.request import FlightRequest
@@ -54,9 +55,11 @@ _VTOL = frozenset(range(19, 26))
 _RELEASES = ((64, "dev"), (128, "alpha"), (192, "beta"), (255, "rc"))
 
 
-def judge_parameters(profile: AutopilotProfile, values: Values, request: FlightRequest) -> list[Check]:
+def judge_parameters(
+    profile: AutopilotProfile, values: Values, request: FlightRequest, asking: Asking | None = None
+) -> list[Check]:
     """Findings about the failsafe parameters, for this flight; see `link.failsafes`."""
-    checks = judge_failsafes(profile, values, request.rate_hz)
+    checks = judge_failsafes(profile, values, request.rate_hz, asking)
     safe_points = request.rally and bool(request.flown_plan.mission.safe_points)
     return [*checks, *judge_rally_limit(values, request.flown_plan, wanted=safe_points)]
 

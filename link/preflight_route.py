@@ -40,16 +40,17 @@ def judge_lowest(plan: Plan, ground_amsl_m: float) -> Check:
     )
 
 
-def judge_stops(plan: Plan, loss_timeout_s: float) -> list[Check]:
+def judge_stops(plan: Plan, loss_timeout_s: float, *, after_s: float = 0.0) -> list[Check]:
     """Whether the flight can still stop in the old station's range when the new one dies right after a handover.
 
     Such a death is noticed after `link.relay.TAKEOVER_SHARE` of ``loss_timeout_s`` (the autopilot's); the old station
     then takes over, and the flight brakes as hard as the plan allows (`link.stream.Reference`). One check a handover
-    for which that is too late, or one that passes.
+    for which that is too late, or one that passes. ``after_s``: handovers later in the plan than this alone.
     """
     reference = Reference(SetpointStream(plan), accel_m_s2=plan.mission.limits.max_accel_m_s2)
     checks, spare_s = [], math.inf
-    for handover in plan.handovers:
+    handovers = [handover for handover in plan.handovers if handover.time_s > after_s]
+    for handover in handovers:
         noticed_s = handover.time_s + HANDED_OVER_S + TAKEOVER_SHARE * loss_timeout_s
         stop_s = _full_stop_s(reference.placed(min(noticed_s, plan.mission_time_s), 1.0))
         left_s, needed_s = handover.overlap_end_s - handover.time_s, stop_s - handover.time_s
@@ -72,7 +73,7 @@ def judge_stops(plan: Plan, loss_timeout_s: float) -> list[Check]:
                 fix=f"plan with min_overlap_s {math.ceil(2.0 * needed_s)}, half of it after the handover, or slower",
             )
         )
-    if plan.handovers and not checks:
+    if handovers and not checks:
         message = f"after each the flight can still stop in the old station's range, with {spare_s:.1f} s to spare"
         checks.append(Check("handovers", Level.PASS, message, round(spare_s, 2), "room to stop"))
     return checks

@@ -17,10 +17,12 @@ import numpy as np
 from gcs.errors import PlanError
 from gcs.flight import TransitionError
 from gcs.plan import Plan
+from link.checks import Check, Level, worst_first
 from link.context import FlightContext
 from link.handover import borders
 from link.preflight import judge_performance
-from link.request import launch_problems
+from link.preflight_route import judge_stops
+from link.request import FlightRequest, launch_problems
 from link.setpoints import SetpointStream
 from link.stream import Reference
 
@@ -61,6 +63,19 @@ def make_ready(document: Mapping[str, Any], context: FlightContext, values: Mapp
     stream = SetpointStream(plan, context.request.rate_hz)
     stream.at(0.0)
     return NextPlan(plan, stream, Reference(stream, accel_m_s2=plan.mission.limits.max_accel_m_s2))
+
+
+def judge_next(plan: Plan, request: FlightRequest, *, loss_timeout_s: float, after_s: float) -> list[Check]:
+    """A plan for a flight under way by the rules of its launch, for a person to decide on; the worst first.
+
+    Overlaps, margin and certificate (which `make_ready` refuses it for), and room to stop at the handovers later than
+    ``after_s`` of it. ``loss_timeout_s``: how long the autopilot goes without setpoints.
+    """
+    problems = [
+        Check(fault.where, Level.FAILURE, fault.what, fault.value, fault.allowed, fix=fault.fix)
+        for fault in launch_problems(plan, request)
+    ]
+    return worst_first([*problems, *judge_stops(plan, loss_timeout_s, after_s=after_s)])
 
 
 def _unfit(plan: Plan, context: FlightContext) -> list[str]:

@@ -1,14 +1,17 @@
-"""Planned against flown, from a telemetry log and the plan alone.
+"""Planned against flown, from a telemetry log and the plan.
 
 Everything is measured from the frames: setpoints from those of the plan's stations (their system ids tell who was in
-control), positions from the vehicle's GLOBAL_POSITION_INT. What is meant by the figures:
+control), positions from the vehicle's GLOBAL_POSITION_INT. The flight's events, where they are given too, add what a
+log cannot tell (`link.report_links`). What is meant by the figures:
 
 - *tracking error*: distance (3-D) between where the vehicle said it was and what was asked of it at that moment, on the
   vehicle's clock, which is laid on the log's by the fastest message heard; *along* the path or *beside* it.
 - *off the path*: distance to the nearest point of the planned path, whatever the time.
 - *T+0*: found from the setpoints themselves, which lie on the path: the median of (time sent - time of the plan).
 - *margin*: range left to the station in control, by its full range, at the positions flown.
-- *gap*: time between setpoints; *lateness*: of each from the even grid the stream keeps, in the flight's seconds.
+- *gap*: time between setpoints; *lateness*: of each from the even grid the stream keeps, in the flight's seconds; with
+  events, the streamer's own count of it.
+- *links*: by the stations' probes, see `link.report_links`.
 """
 
 from __future__ import annotations
@@ -25,8 +28,10 @@ from scipy.spatial import cKDTree
 
 from gcs.plan import Plan
 from link.errors import ReportError
+from link.lateness import lateness_ms
 from link.profiles import PROFILES, AutopilotProfile
 from link.projection import EkfOrigin
+from link.report_links import History, LinkReport, ProbeCount
 from link.tlog import TlogRecord, read_tlog
 
 Array = NDArray[np.float64]
@@ -53,7 +58,10 @@ class HandoverReport:
 
 @dataclass(frozen=True)
 class FlightReport:
-    """The figures of a flight; None where the log does not tell. See the module for what each means."""
+    """The figures of a flight; None where the log does not tell. See the module for what each means.
+
+    ``lateness_from``: ``"log"``, or ``"streamer"`` for its own count, which ``skipped_ticks`` is of too.
+    """
 
     plan_sha256: str
     autopilot: str
@@ -74,6 +82,9 @@ class FlightReport:
     lateness_p50_ms: float
     lateness_p99_ms: float
     lateness_worst_ms: float
+    lateness_from: str
+    skipped_ticks: int | None
+    links: tuple[LinkReport, ...]
     handovers: tuple[HandoverReport, ...]
     reached: bool
 
@@ -81,6 +92,7 @@ class FlightReport:
         """As a JSON object."""
         document = asdict(self)
         document["handovers"] = [asdict(h) for h in self.handovers]
+        document["links"] = [asdict(link) for link in self.links]
         return document
 
     def to_text(self) -> str:
@@ -102,7 +114,10 @@ class FlightReport:
             + (f" ({self.margin_least_station})" if self.margin_least_station else ""),
             f"Setpoints     {self.setpoints}, longest gap {self.longest_gap_s * 1e3:.0f} ms",
             "Lateness      "
-            f"p50 {self.lateness_p50_ms:.1f}, p99 {self.lateness_p99_ms:.1f}, worst {self.lateness_worst_ms:.1f} ms",
+            f"p50 {self.lateness_p50_ms:.1f}, p99 {self.lateness_p99_ms:.1f}, worst {self.lateness_worst_ms:.1f} ms"
+            + ("" if self.skipped_ticks is None else f", {self.skipped_ticks} skipped (the streamer's own count)"),
+            "Links",
+            *(f"  {link.to_text()}" for link in self.links),
             f"Handovers     {len(self.handovers)}",
         ]
         for h in self.handovers:
@@ -115,12 +130,15 @@ class FlightReport:
         return "\n".join(lines) + "\n"
 
 
-def report_flight(log: str | Path, plan: Plan) -> FlightReport:
-    """Compare the flight in a telemetry log with its plan.
+def report_flight(log: str | Path, plan: Plan, events: str | Path | None = None) -> FlightReport:
+    """Compare the flight in a telemetry log with its plan; ``events`` is a file of the flight's events.
 
-    Raises `ReportError` when the log holds no flight of this plan, `link.errors.TlogError` when it cannot be read.
+    Raises `ReportError` when log or events hold no flight of this plan, `link.errors.TlogError` when the log cannot be
+    read.
     """
-    sent, heard, profile = _collect(read_tlog(log), plan)
+    history = None if events is None else History.read(events, plan)
+    probes = ProbeCount(_station_names(plan))
+    sent, heard, profile, log_end_s = _collect(read_tlog(log), plan, probes)
     if len(sent.time_s) < 2:
         raise ReportError(f"{log} holds no setpoints of the plan's stations ({', '.join(plan.station_ids)})")
     place = _to_plane(plan, sent.lat_deg, sent.lon_deg, sent.alt_amsl_m)
@@ -137,7 +155,8 @@ def report_flight(log: str | Path, plan: Plan) -> FlightReport:
     end_s = float(sent.time_s[-1])
     errors = _errors(heard, sent, place, plan, launched_s, end_s)
     gaps = np.diff(sent.time_s)
-    late_ms = _lateness_ms(sent.time_s)
+    counted = None if history is None else history.lateness
+    lateness = _lateness(sent.time_s) if counted is None else counted
     names = _station_names(plan)
     margin, margin_station = _margin(heard, sent, plan, launched_s, end_s)
     off_path = path.nearest(errors.place)[1] if len(errors.time_s) else np.array([])
@@ -159,9 +178,12 @@ def report_flight(log: str | Path, plan: Plan) -> FlightReport:
         margin_least_m=margin,
         margin_least_station=margin_station,
         longest_gap_s=float(gaps.max()),
-        lateness_p50_ms=float(np.quantile(late_ms, 0.5)),
-        lateness_p99_ms=float(np.quantile(late_ms, 0.99)),
-        lateness_worst_ms=float(late_ms.max()),
+        lateness_p50_ms=lateness["p50_ms"],
+        lateness_p99_ms=lateness["p99_ms"],
+        lateness_worst_ms=lateness["worst_ms"],
+        lateness_from="log" if counted is None else "streamer",
+        skipped_ticks=None if counted is None else int(counted["skipped_ticks"]),
+        links=probes.links(log_end_s, None if history is None else history.failovers),
         handovers=_handovers(sent, errors, plan, launched_s),
         reached=reached,
     )
@@ -201,7 +223,11 @@ class _Errors:
     beside_m: Array
 
 
-def _collect(records: Iterable[TlogRecord], plan: Plan) -> tuple[_Sent, _Heard, AutopilotProfile]:
+def _collect(
+    records: Iterable[TlogRecord], plan: Plan, probes: ProbeCount
+) -> tuple[_Sent, _Heard, AutopilotProfile, float]:
+    """Setpoints, positions, the autopilot, and when the log ends (Unix time)."""
+    end_s = 0.0
     stations = set(_station_names(plan))
     vehicle = plan.mission.options.vehicle_system_id
     origin: EkfOrigin | None = None
@@ -214,7 +240,10 @@ def _collect(records: Iterable[TlogRecord], plan: Plan) -> tuple[_Sent, _Heard, 
         if m is None:
             continue
         system, number = m.get_srcSystem(), m.get_msgId()
-        if number in SETPOINT_IDS and system in stations:
+        end_s = max(end_s, record.time_utc_s)
+        if number == 111:
+            probes.note(record.time_utc_s, system, m, vehicle=system == vehicle and m.get_srcComponent() == 1)
+        elif number in SETPOINT_IDS and system in stations:
             kinds[number] = kinds.get(number, 0) + 1
             # NED to east, north, up.
             velocity = (m.vy, m.vx, -m.vz)
@@ -238,6 +267,7 @@ def _collect(records: Iterable[TlogRecord], plan: Plan) -> tuple[_Sent, _Heard, 
         _Sent(table[:, 0], table[:, 1].astype(np.int64), table[:, 2], table[:, 3], table[:, 4], table[:, 5:8]),
         _Heard(_on_log_clock(heard[:, 0], heard[:, 1]), heard[:, 2], heard[:, 3], heard[:, 4]),
         profile,
+        end_s,
     )
 
 
@@ -365,20 +395,13 @@ def _between(times: Array, low: float, high: float) -> NDArray[np.bool_]:
     return (times >= low) & (times <= high)
 
 
-def _lateness_ms(time_s: Array) -> Array:
-    """How late each setpoint is on the streamer's even grid, below one period: missed ticks show as gaps instead.
-
-    The grid's rate is that of steps without a missed tick, to the nearest whole number; its phase is where the
-    setpoints, taken modulo the period, begin after their widest silence.
-    """
-    rate_hz = 1.0 / float(np.quantile(np.diff(time_s), 0.3))
-    if abs(rate_hz - round(rate_hz)) < 0.02 * rate_hz:
-        rate_hz = float(round(rate_hz))
-    within = np.mod((time_s - time_s[0]) * rate_hz, 1.0)
-    order = np.sort(within)
-    silences = np.diff(order, append=order[0] + 1.0)
-    phase = float(order[(int(silences.argmax()) + 1) % len(order)])
-    return np.asarray(np.mod(within - phase, 1.0)) / rate_hz * 1e3
+def _lateness(time_s: Array) -> dict[str, float]:
+    late_ms = lateness_ms(time_s)
+    return {
+        "p50_ms": float(np.quantile(late_ms, 0.5)),
+        "p99_ms": float(np.quantile(late_ms, 0.99)),
+        "worst_ms": float(late_ms.max()),
+    }
 
 
 def _station_names(plan: Plan) -> dict[int, str]:

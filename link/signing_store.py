@@ -32,10 +32,9 @@ Stream = tuple[int, int, int]
 class SigningStore:
     """Own stamp and last stamp of every stream; made by `open` or `in_memory`. Close it when the station is done."""
 
-    def __init__(self, words: memoryview, mapping: mmap.mmap | None = None, descriptor: int | None = None) -> None:
+    def __init__(self, words: memoryview, file: tuple[mmap.mmap, int] | None = None) -> None:
         self._words = words
-        self._mapping = mapping
-        self._descriptor = descriptor
+        self._file = file
         self._own = int(words[1])
         self._places: dict[Stream, int] = {}
         self._stamps: dict[Stream, int] = {}
@@ -79,7 +78,7 @@ class SigningStore:
                     "clock and a vehicle may not listen for a minute"
                 )
             mapping = mmap.mmap(descriptor, _SIZE)
-            return cls(memoryview(mapping).cast("Q"), mapping, descriptor)
+            return cls(memoryview(mapping).cast("Q"), (mapping, descriptor))
         except OSError as error:
             if descriptor is not None:
                 os.close(descriptor)
@@ -121,11 +120,11 @@ class SigningStore:
 
     def close(self) -> None:
         """Write out and let go of the file; further stamps are kept in memory alone."""
-        if self._mapping is None or self._descriptor is None:
+        if self._file is None:
             return
-        mapped, self._words = self._words, memoryview(bytearray(self._mapping[:])).cast("Q")
+        (mapping, descriptor), self._file = self._file, None
+        mapped, self._words = self._words, memoryview(bytearray(mapping[:])).cast("Q")
         mapped.release()
-        self._mapping.flush()
-        self._mapping.close()
-        os.close(self._descriptor)
-        self._mapping = self._descriptor = None
+        mapping.flush()
+        mapping.close()
+        os.close(descriptor)

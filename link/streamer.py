@@ -52,6 +52,7 @@ from link.tlog import TlogWriter
 
 EXIT_FAULT, EXIT_REFUSED_REQUEST = 1, 2
 REAL_TIME_PRIORITY = 10
+"""Of the flight; the thread that writes its logs is one below."""
 UPKEEP_S = 0.25
 """Endpoints are looked after at least this often, heard or not."""
 LINGER_S = 0.5
@@ -77,7 +78,7 @@ class Recorder:
 
     def event(self, event: FlightEvent) -> None:
         """Keep an event."""
-        self._queue.put(("event", 0.0, json.dumps(event.to_document(), allow_nan=False).encode() + b"\n"))
+        self._queue.put(("event", 0.0, json.dumps(event.to_document()).encode() + b"\n"))
 
     def close(self) -> None:
         """Write out what is queued, for a few seconds at most."""
@@ -85,6 +86,8 @@ class Recorder:
         self._thread.join(5.0)
 
     def _run(self) -> None:
+        # Kept waiting for a processor while it holds the interpreter's lock, it would keep the flight waiting.
+        raise_priority(REAL_TIME_PRIORITY - 1)
         while (item := self._queue.get()) is not None:
             kind, now_s, data = item
             try:
@@ -164,23 +167,22 @@ def open_links(request: FlightRequest) -> dict[str, Endpoint]:
     return endpoints
 
 
-def raise_priority() -> str:
+def raise_priority(priority: int = REAL_TIME_PRIORITY) -> str:
     """Real-time scheduling for this thread where permitted; what was got."""
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):
         with contextlib.suppress(OSError):
             os.nice(-10)
             return "nice -10"
         return "ordinary"
-    return f"SCHED_FIFO {REAL_TIME_PRIORITY}"
+    return f"SCHED_FIFO {priority}"
 
 
 class Streamer:
     """The core, its sockets and its clock."""
 
     def __init__(self, request: FlightRequest, run_dir: Path) -> None:
-        self.request = request
         self.run_dir = run_dir
         self.endpoints = open_links(request)
         self.locks = LinkLocks(self.endpoints)
@@ -329,7 +331,7 @@ class Streamer:
         self.close()
 
     def _log(self, text: str) -> None:
-        print(text, file=sys.stderr, flush=True)  # noqa: T201 - the process's own log
+        print(text, file=sys.stderr)  # noqa: T201 - the process's own log
 
     def close(self) -> None:
         """Let go of everything."""

@@ -308,6 +308,13 @@ class EchoTracker:
     ACCELERATION_TOLERANCE_M_S2 = 2e-4
     TELLING_ACCELERATION_M_S2 = 0.02
     RUN_ON_S = 0.5
+    """How far along its velocity a target may be past its setpoint. ArduPilot runs on for up to 3 s (GUID_TIMEOUT) when
+    setpoints stop coming, and is not followed so far on purpose. As proof (`held`) such a target tells nothing new:
+    the setpoint it began with was proved while it was fresh, and a longer reach would take more of them for possible.
+    As a place (`distance_m`) it is near what we send meanwhile, which goes on too: in 2.85 s without uplink, after
+    which the stream counts as lapsed, it comes 0.7 m away from that in cruise, and 5.1 m in a stop at 2.5 m/s^2 from
+    15 m/s: 7.5 m are allowed here and 5 m more by `link.watch.STRANGE_M`. A vehicle that brakes twice as hard may get
+    an alarm of a strange target in the last half second before that lapse; it never brings the lapse about."""
     LATELY_S = 1.5
 
     def __init__(self, *, runs_on: bool, memory: int = 100) -> None:

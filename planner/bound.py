@@ -14,8 +14,11 @@ from math import inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
-from planner.navmesh import NavigationMesh
+from planner.lens import neighbours_within
+from planner.navmesh import NavigationMesh, ShortestPath
 from planner.problem import Limits, Problem
 
 Array = NDArray[np.float64]
@@ -24,6 +27,12 @@ Array = NDArray[np.float64]
 ROUNDING = 1e-9
 # Stations above which the union is not meshed for the bound alone (about 20 microseconds each).
 MAX_MESH_STATIONS = 100_000
+# Stations above which those too far aside are sought out, so that only the others are meshed.
+CROWD = 1_000
+# A path from centre to centre is sought among discs that one so much longer than the straight line can touch.
+STRETCHES = (1.02, 1.1, 1.5, inf)
+# How much of that path's detour the shortest one is guessed to need. Seldom more than the first; the last is certain.
+SHARES = (0.25, 0.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -44,7 +53,8 @@ def lower_bound(problem: Problem, *, max_expansions: int = 1_000_000, upper_leng
     """The bound of a problem, from its ``bound_ranges_m`` (default its ranges), limits and start state.
 
     ``max_expansions`` ends the search of a large map early; the bound is then weaker and ``exact`` is False.
-    ``upper_length_m``: the length of a path known to exist; stations beyond its reach are left out.
+    ``upper_length_m``: the length of a path known to exist, seen from above; stations beyond its reach are left out.
+    On large maps one is looked for.
     """
     offset = problem.destination_m - problem.start_m
     straight = float(np.linalg.norm(offset))
@@ -53,14 +63,10 @@ def lower_bound(problem: Problem, *, max_expansions: int = 1_000_000, upper_leng
         centres, radii = discs_seen_from_above(
             problem, problem.ranges_m if problem.bound_ranges_m is None else problem.bound_ranges_m
         )
-        near = _within_reach(problem, centres, radii, upper_length_m)
-        if near.any():
-            found = NavigationMesh(centres[near], radii[near]).shortest_path(
-                tuple(problem.start_m[:2]), tuple(problem.destination_m[:2]), max_expansions=max_expansions
-            )
-            if found is not None:
-                length = float(np.hypot(found.length_m, offset[2])) * (1.0 - ROUNDING)
-                path, exact = (found.points_m, True) if found.exact else (None, False)
+        found = _shortest_path(problem, centres, radii, max_expansions, upper_length_m)
+        if found is not None:
+            length = float(np.hypot(found.length_m, offset[2])) * (1.0 - ROUNDING)
+            path, exact = (found.points_m, True) if found.exact else (None, False)
     return LowerBound(max(_times_s(problem, length, offset)), length, path, exact)
 
 
@@ -70,6 +76,13 @@ def discs_seen_from_above(problem: Problem, ranges_m: Array) -> tuple[Array, Arr
     An elevation mask e takes away what lies below its cone: then the widest place is at h + R sin e. Stations that
     do not reach the band are left out.
     """
+    radii = radii_seen_from_above(problem, ranges_m)
+    reach = radii >= 0
+    return problem.station_positions_m[reach, :2], radii[reach]
+
+
+def radii_seen_from_above(problem: Problem, ranges_m: Array) -> Array:
+    """Radius of each station's largest cross-section in the band ``(M,)``; minus one where it does not reach it."""
     height = problem.station_positions_m[:, 2]
     low, high = problem.limits.min_alt_m, problem.limits.max_alt_m
     if problem.min_elevation_deg is None:
@@ -84,8 +97,7 @@ def discs_seen_from_above(problem: Problem, ranges_m: Array) -> tuple[Array, Arr
         cone[limited & (widest < height)] = -1.0
     square = ranges_m**2 - (widest - height) ** 2
     radii = np.minimum(np.sqrt(np.maximum(square, 0.0)), cone)
-    reach = (square >= 0) & (radii >= 0)
-    return problem.station_positions_m[reach, :2], radii[reach]
+    return np.where((square >= 0) & (radii >= 0), radii, -1.0)
 
 
 def fastest_time_s(
@@ -164,6 +176,68 @@ def _times_s(problem: Problem, length_m: float, offset_m: Array) -> list[float]:
         if slack > 0:
             times.append((against + sqrt(against**2 + slack * float(offset @ offset))) / slack)
     return times
+
+
+def _shortest_path(
+    problem: Problem, centres: Array, radii: Array, max_expansions: int, upper_length_m: float
+) -> ShortestPath | None:
+    """The shortest path through the union of discs, meshed only where a path of that length can be.
+
+    A path no longer than some length touches no disc beyond its reach. So on large maps a length is guessed: what is
+    found among the discs within its reach is the answer if it is no longer, and otherwise a longer one is tried.
+    """
+    start, end = problem.start_m[:2], problem.destination_m[:2]
+    guesses_m = [upper_length_m]
+    if len(radii) > CROWD:
+        straight = float(np.linalg.norm(end - start))
+        upper_length_m = min(upper_length_m, _known_length_m(problem, centres, radii))
+        guesses_m = [upper_length_m]
+        if upper_length_m < inf:
+            guesses_m = [straight + share * (upper_length_m - straight) for share in SHARES]
+    for guess_m in guesses_m:
+        near = _within_reach(problem, centres, radii, guess_m)
+        if near.any():
+            mesh = NavigationMesh(centres[near], radii[near])
+            found = mesh.shortest_path(
+                tuple(start), tuple(end), max_expansions=max_expansions, max_length_m=guess_m * (1.0 + ROUNDING)
+            )
+            if found is not None:
+                return found
+    return None
+
+
+def _known_length_m(problem: Problem, centres: Array, radii: Array) -> float:
+    """Length of some path through the union of discs, from centre to centre; infinite where there is none.
+
+    Sought among the discs that a path not much longer than the straight line can touch, then farther afield.
+    """
+    start, end = problem.start_m[:2], problem.destination_m[:2]
+    straight = float(np.linalg.norm(end - start))
+    for stretch in STRETCHES:
+        near = np.flatnonzero(_within_reach(problem, centres, radii, stretch * straight))
+        length = _centre_path_m(start, end, centres[near], radii[near])
+        if length < inf:
+            return length
+    return inf
+
+
+def _centre_path_m(start: Array, end: Array, centres: Array, radii: Array) -> float:
+    """The shortest path over centres of discs that meet, which such a path never leaves."""
+    pairs = neighbours_within(centres, radii)
+    apart = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
+    met = apart <= radii[pairs].sum(axis=1)
+    rows, columns, lengths = [pairs[met, 0]], [pairs[met, 1]], [apart[met]]
+    count = len(radii)
+    for node, point in ((count, start), (count + 1, end)):
+        away = np.linalg.norm(centres - point, axis=1)
+        inside = np.flatnonzero(away <= radii)
+        rows.append(np.full(len(inside), node))
+        columns.append(inside)
+        lengths.append(away[inside])
+    # A length of zero would read as no edge.
+    values = np.maximum(np.concatenate(lengths), 1e-9)
+    graph = csr_array((values, (np.concatenate(rows), np.concatenate(columns))), shape=(count + 2, count + 2))
+    return float(dijkstra(graph, directed=False, indices=count)[count + 1])
 
 
 def _within_reach(problem: Problem, centres: Array, radii: Array, upper_length_m: float) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.coverage import Stations, coverage_windows, held_s
+from planner.coverage import Stations, held_s, leaves_s
 from planner.errors import ProblemError
 from planner.problem import Problem
 from planner.trajectory import Trajectory
@@ -112,20 +112,25 @@ def continuity_residual(problem: Problem, trajectory: Trajectory) -> float:
 def _overlap_excess_s(problem: Problem, trajectory: Trajectory) -> float:
     """How much of half the asked overlap is missing, at the worst handover and side; in the ranges planned with.
 
-    Two proofs, the better one counts: whole segments next to the handover whose control points all lie in the other
-    station's range (exact, and how overlaps are planned), and the roots of the distance, which see further.
+    Proved by whole segments next to the handover whose control points all lie in the other station's range (exact,
+    and how overlaps are planned). Only where that is not enough, by the roots of the distance, which see further.
     """
     joints = np.flatnonzero(np.diff(trajectory.station_index)) + 1
     if not len(joints):
         return 0.0
-    sequence = np.array(trajectory.sequence)
-    before, after = _stations(problem, sequence[:-1]), _stations(problem, sequence[1:])
-    times = trajectory.knots_s[joints]
-    early, _ = coverage_windows(trajectory, after, times, slack_m=0.0)
-    _, late = coverage_windows(trajectory, before, times, slack_m=0.0)
-    ahead = np.maximum(times - early, held_s(trajectory, after, joints - 1, ahead=False))
-    behind = np.maximum(late - times, held_s(trajectory, before, joints, ahead=True))
-    return 0.5 * problem.min_overlap_s - float(min(ahead.min(), behind.min()))
+    half_s = 0.5 * problem.min_overlap_s
+    sequence, times = np.array(trajectory.sequence), trajectory.knots_s[joints]
+    missing_s = -np.inf
+    for side, first, ahead in ((sequence[1:], joints - 1, False), (sequence[:-1], joints, True)):
+        held = held_s(trajectory, _stations(problem, side), first, ahead=ahead)
+        short = np.flatnonzero(held < half_s)
+        if len(short):
+            at = times[short]
+            left = leaves_s(trajectory, _stations(problem, side[short]), at, ahead=ahead, slack_m=0.0)
+            # A vehicle outside at the handover itself has seen nothing of the other range (NaN).
+            held[short] = np.fmax(np.abs(left - at), held[short])
+        missing_s = max(missing_s, half_s - float(held.min()))
+    return missing_s
 
 
 def _stations(problem: Problem, which: NDArray[np.int64]) -> Stations:

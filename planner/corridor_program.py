@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,8 +124,8 @@ class _NormBuilder:
     """Collects norm constraints: each ``add`` is one row of the table for some pieces."""
 
     def __init__(self, pieces: int) -> None:
-        self.pieces = pieces
-        self.parts: list[tuple[Array, ...]] = []
+        self.all = np.arange(pieces)
+        self.parts: list[tuple[NDArray[Any], ...]] = []
 
     def add(
         self,
@@ -138,18 +139,27 @@ class _NormBuilder:
         active: NDArray[np.bool_] | None = None,
     ) -> None:
         """All values broadcast over the pieces; ``active`` says for which of them the constraint is there."""
-        chosen = np.arange(self.pieces) if active is None else np.flatnonzero(active)
-        scalar, vector = (self.pieces,), (self.pieces, 3)
-        values = (
-            (row, scalar),
-            (np.arange(self.pieces), scalar),
-            (0.0 if centre is None else centre, vector),
-            (1.0 if weight is None else weight, vector),
-            (radius, scalar),
-            (time_radius, scalar),
-            (radius if scale is None else scale, scalar),
+        chosen = self.all if active is None else np.flatnonzero(active)
+
+        def for_each(value: Array | float, size: tuple[int, ...] = ()) -> Array:
+            own = np.asarray(value, dtype=float)
+            if own.ndim > len(size):
+                return own[chosen]
+            each = np.empty((len(chosen), *size))
+            each[:] = own
+            return each
+
+        self.parts.append(
+            (
+                np.full(len(chosen), row),
+                chosen,
+                for_each(0.0 if centre is None else centre, (3,)),
+                for_each(1.0 if weight is None else weight, (3,)),
+                for_each(radius),
+                for_each(time_radius),
+                for_each(radius if scale is None else scale),
+            )
         )
-        self.parts.append(tuple(np.broadcast_to(value, shape)[chosen] for value, shape in values))
 
     def build(self) -> NormConstraints:
         """All of them, one after the other."""

@@ -115,7 +115,7 @@ def _starts(
         starts.append(Start(*guess_from(program, scale, trajectory), barrier=1e-3, slack=1e-3))
     at_speed = first_guess(problem, program, scale, waypoints_m)
     at_rest = first_guess(problem, program, scale, waypoints_m, at_rest=True)
-    starts.append(Start(*at_speed, barrier=0.01, slack=1e-2))
+    starts.append(Start(*at_speed, barrier=3e-3, slack=0.1))
     starts.append(Start(*at_speed, barrier=0.01, slack=1e-2, rule=CAREFUL))
     starts.append(Start(*at_rest, barrier=0.2, slack=1e-2, rule=CAREFUL))
     return starts

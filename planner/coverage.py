@@ -83,18 +83,28 @@ def coverage_windows(
     Ranges are taken ``slack_m`` larger and cones as much lower. Ends are 0 and the mission time where a range is never
     left; a vehicle outside at ``around_s`` gives the empty span there.
     """
+    early = leaves_s(trajectory, stations, around_s, ahead=False, slack_m=slack_m)
+    late = leaves_s(trajectory, stations, around_s, ahead=True, slack_m=slack_m)
+    around = np.clip(around_s, 0.0, trajectory.duration_s)
+    outside = np.isnan(early) | np.isnan(late)
+    return np.where(outside, around, np.minimum(early, around)), np.where(outside, around, np.maximum(late, around))
+
+
+def leaves_s(
+    trajectory: Trajectory, stations: Stations, around_s: Array, *, ahead: bool, slack_m: float = SLACK_M
+) -> Array:
+    """When each range is first left, going forwards or back from ``around_s`` ``(W,)``; NaN: outside already.
+
+    0 or the mission time where it never is. Ranges are taken ``slack_m`` larger and cones as much lower.
+    """
     around = np.clip(around_s, 0.0, trajectory.duration_s)
     at = trajectory.segment_at(around)
     within = np.clip((around - trajectory.knots_s[at]) / trajectory.durations_s[at], 0.0, 1.0)
-    early, late = np.empty(len(around)), np.empty(len(around))
+    left = np.empty(len(around))
     for begin in range(0, len(around), _WALKS):
         part = slice(begin, begin + _WALKS)
-        walk = _Walk(trajectory, stations.part(part), slack_m)
-        late[part] = walk.exits(at[part], within[part], ahead=True)
-        early[part] = walk.exits(at[part], within[part], ahead=False)
-        outside = walk.outside
-        late[part][outside] = early[part][outside] = around[part][outside]
-    return np.minimum(early, around), np.maximum(late, around)
+        left[part] = _Walk(trajectory, stations.part(part), slack_m).exits(at[part], within[part], ahead=ahead)
+    return left
 
 
 def held_s(trajectory: Trajectory, stations: Stations, first: Indices, *, ahead: bool) -> Array:
@@ -129,15 +139,17 @@ def _segments(at: Indices, step: int, count: int, *, ahead: bool) -> tuple[Indic
 
 
 class _Walk:
-    """Walks of ``stations`` over a trajectory. ``outside`` ``(W,)``: which vehicles begin theirs out of range."""
+    """Walks of ``stations`` over a trajectory."""
 
     def __init__(self, trajectory: Trajectory, stations: Stations, slack_m: float) -> None:
         self._trajectory, self._at, self._slack_m = trajectory, stations.at_m, slack_m
         self._range, self._slope = stations.range_m + slack_m, stations.slopes()
-        self.outside = np.zeros(len(stations), dtype=bool)
 
     def exits(self, at: Indices, within: Array, *, ahead: bool) -> Array:
-        """When each range is first left, going forwards or back from the part ``within`` of segment ``at``."""
+        """When each range is first left, going forwards or back from the part ``within`` of segment ``at``.
+
+        NaN for a vehicle that is outside there.
+        """
         flight = self._trajectory
         result = np.full(len(at), flight.duration_s if ahead else 0.0)
         walks = np.arange(len(at))
@@ -150,8 +162,8 @@ class _Walk:
             share = np.full(segment.shape, np.inf)
             which = np.nonzero(there & self._may_leave(walks, segment))
             share[which] = self._first_exits(walks[which[0]], segment[which], passed[which], ahead=ahead)
-            if step == 0 and ahead:
-                self.outside = share[:, 0] < 0.0
+            if step == 0:
+                outside = share[:, 0] < 0.0
             left = np.isfinite(share)
             found = np.flatnonzero(left.any(axis=1))
             where = left[found].argmax(axis=1)
@@ -161,7 +173,7 @@ class _Walk:
             walks = walks[~left.any(axis=1) & there[:, -1]]
             if not len(walks):
                 break
-        return result
+        return np.where(outside, np.nan, result)
 
     def _may_leave(self, walks: Indices, segment: Indices) -> NDArray[np.bool_]:
         """False where a segment's control points prove that it stays inside."""

@@ -10,15 +10,17 @@ from planner.problem import Problem
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_ALL = slice(None)
 
-def altitude_span_m(problem: Problem) -> tuple[Array, Array]:
-    """Lowest and highest altitude of the band each station covers, ``(M,)`` each; upside down where it covers none."""
-    limits, height = problem.limits, problem.station_positions_m[:, 2]
-    floor = height - problem.ranges_m
+
+def altitude_span_m(problem: Problem, station: int | Indices | slice = _ALL) -> tuple[Array, Array]:
+    """Lowest and highest altitude of the band that ``station`` covers; upside down where it covers none."""
+    limits, height, reach = problem.limits, problem.station_positions_m[station, 2], problem.ranges_m[station]
+    floor = height - reach
     if problem.min_elevation_deg is not None:
         # At an elevation of zero or more a station hears nothing below its antenna.
-        floor = np.where(problem.min_elevation_deg >= 0.0, height, floor)
-    return np.maximum(limits.min_alt_m, floor), np.minimum(limits.max_alt_m, height + problem.ranges_m)
+        floor = np.where(problem.min_elevation_deg[station] >= 0.0, height, floor)
+    return np.maximum(limits.min_alt_m, floor), np.minimum(limits.max_alt_m, height + reach)
 
 
 def usable_stations(problem: Problem) -> NDArray[np.bool_]:
@@ -32,7 +34,7 @@ def disc_radius_m(problem: Problem, station: int | Indices, alt_m: float | Array
     height = alt_m - problem.station_positions_m[station, 2]
     radius: Array = np.sqrt(np.maximum(problem.ranges_m[station] ** 2 - height**2, 0.0))
     if problem.min_elevation_deg is not None:
-        slope = cotangent(problem)[station]
+        slope = cotangent(problem, station)
         with np.errstate(invalid="ignore"):
             cone = np.where(height >= 0.0, np.where(np.isinf(slope), np.inf, height * slope), 0.0)
         cone = np.where(problem.min_elevation_deg[station] < 0.0, np.inf, cone)
@@ -40,10 +42,10 @@ def disc_radius_m(problem: Problem, station: int | Indices, alt_m: float | Array
     return radius
 
 
-def cotangent(problem: Problem) -> Array:
-    """Horizontal reach per metre of height, ``(M,)``; infinite where no elevation limit narrows the range."""
+def cotangent(problem: Problem, station: int | Indices | slice = _ALL) -> Array:
+    """Horizontal reach of ``station`` per metre of height; infinite where no elevation limit narrows the range."""
     assert problem.min_elevation_deg is not None
-    angle = np.radians(np.maximum(problem.min_elevation_deg, 0.0))
+    angle = np.radians(np.maximum(problem.min_elevation_deg[station], 0.0))
     with np.errstate(divide="ignore"):
         return np.asarray(np.cos(angle) / np.sin(angle))
 

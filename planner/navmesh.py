@@ -10,6 +10,7 @@ the union its cells are convex, and two neighbouring cells share a piece of the 
 
 A shortest path is a chain of straight lines that turns at such corners alone, so it is found exactly by the
 Polyanya search (Cui, Harabor and Grastien 2017): A* whose nodes are a root and an interval of a portal seen from it.
+One thing more is left out than there: intervals that an earlier root, expanded before, reaches no later throughout.
 At any moment the smallest f-value in the queue is a lower bound of the answer, so a search cut short still bounds.
 
 Points of the plane are complex numbers here: east + 1j north, metres.
@@ -20,7 +21,7 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass
 from itertools import count
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,9 +103,14 @@ class NavigationMesh:
         return cell if inside else None
 
     def shortest_path(
-        self, start_m: tuple[float, float], target_m: tuple[float, float], *, max_expansions: int = 1_000_000
+        self,
+        start_m: tuple[float, float],
+        target_m: tuple[float, float],
+        *,
+        max_expansions: int = 1_000_000,
+        max_length_m: float = inf,
     ) -> ShortestPath | None:
-        """The shortest path between two points inside the union, None when there is none.
+        """The shortest path between two points inside the union, None when there is none within ``max_length_m``.
 
         After ``max_expansions`` steps of the search the best lower bound so far is returned, with ``exact`` False.
         """
@@ -114,7 +120,7 @@ class NavigationMesh:
             return None
         if first == last:
             return ShortestPath(abs(target - start), np.array([start_m, target_m], dtype=float), True)
-        return _Search(self._cells, start, target, last).run(first, max_expansions)
+        return _Search(self._cells, start, target, last).run(first, max_expansions, max_length_m)
 
 
 def _power_triangulation(
@@ -169,24 +175,68 @@ class _Search:
         self._target = target
         self._last = last
         self._best: dict[int, float] = {}
+        # Roots and intervals expanded through each portal into each cell.
+        self._seen: dict[tuple[int, int], list[tuple[_Root, complex, int, complex, int]]] = {}
         self._queue: list[tuple[float, int, _Root, complex, int, complex, int, int, int]] = []
         self._ties = count()
         self._start = _Root(start, 0.0, -1, None)
 
-    def run(self, first: int, max_expansions: int) -> ShortestPath | None:
+    def run(self, first: int, max_expansions: int, max_length_m: float) -> ShortestPath | None:
         for right, left, right_corner, left_corner, cell, portal in self._cells[first]:
             self._push(self._start, right, right_corner, left, left_corner, cell, portal)
         for step in count():
             if not self._queue:
                 return None
             f, _, root, right, right_corner, left, left_corner, cell, portal = heapq.heappop(self._queue)
+            if f > max_length_m:
+                return None
             if cell == self._last:
                 return ShortestPath(f, self._points(root, right, left), True)
             if step >= max_expansions:
                 return ShortestPath(f, self._points(root, right, left), False)
-            if root.length <= self._best.get(root.corner, inf) * (1.0 + 1e-12):
+            if root.length > self._best.get(root.corner, inf) * (1.0 + 1e-12):
+                continue
+            if not self._beaten(root, right, right_corner, left, left_corner, cell, portal):
                 self._expand(root, right, right_corner, left, left_corner, cell, portal)
         return None
+
+    def _beaten(
+        self, root: _Root, right: complex, right_corner: int, left: complex, left_corner: int, cell: int, portal: int
+    ) -> bool:
+        """Whether all of the portal's interval is reached no later from a root that was expanded before.
+
+        It sees the whole interval with the corners at its ends, and at both ends x its way is no longer:
+        d' + |r' - x| <= d + |r - x|. Where its turn is the later one (d <= d') so it is in between, inside a branch of
+        a hyperbola, which is convex. Otherwise the chord of |r' - x|, which is convex, is held against the least that
+        |r - x| + d - d' can be above it.
+        """
+        key = (portal, cell)
+        others = self._seen.get(key)
+        if others is None:
+            self._seen[key] = [(root, right, right_corner, left, left_corner)]
+            return False
+        length, point = root.length, root.point
+        to_right, to_left = abs(right - point), abs(left - point)
+        for other, its_right, its_right_corner, its_left, its_left_corner in others:
+            if right_corner not in (-1, its_right_corner) or left_corner not in (-1, its_left_corner):
+                continue
+            lead = length - other.length
+            its_to_right = abs(right - other.point)
+            its_to_left = abs(left - other.point)
+            if its_to_right > to_right + lead or its_to_left > to_left + lead:
+                continue
+            width = its_left - its_right
+            # Both ends lie on the portal, so along it one number says where.
+            size = width.real**2 + width.imag**2
+            low, high = right - its_right, left - its_right
+            if low.real * width.real + low.imag * width.imag < 0.0:
+                continue
+            if high.real * width.real + high.imag * width.imag > size:
+                continue
+            if lead <= 0.0 or _stays_below(point, lead, right, left, its_to_right, its_to_left):
+                return True
+        others.append((root, right, right_corner, left, left_corner))
+        return False
 
     def _push(
         self, root: _Root, right: complex, right_corner: int, left: complex, left_corner: int, cell: int, portal: int
@@ -274,6 +324,28 @@ class _Search:
             points.append(link.point)
             link = link.previous
         return np.array([[z.real, z.imag] for z in reversed(points)])
+
+
+def _stays_below(point: complex, lead: float, right: complex, left: complex, at_right: float, at_left: float) -> bool:
+    """Whether the line from ``at_right`` to ``at_left`` is below |point - x| + lead all along right to left.
+
+    At both ends it is. With h the distance of the point from the line through them and s the slope, sqrt(h^2 + t^2) -
+    s t is least at t = h s / sqrt(1 - s^2), where it is h sqrt(1 - s^2).
+    """
+    width = abs(left - right)
+    if width == 0.0:
+        return True
+    along = (left - right) / width
+    offset = (point - right) * along.conjugate()
+    slope = (at_left - at_right) / width
+    rest = 1.0 - slope * slope
+    if rest <= 0.0:
+        return False
+    height = abs(offset.imag)
+    least_at = offset.real + height * slope / sqrt(rest)
+    if not 0.0 < least_at < width:
+        return True
+    return at_right + slope * offset.real <= height * sqrt(rest) + lead
 
 
 def _through(root: complex, right: complex, left: complex, target: complex) -> tuple[float, complex | None]:

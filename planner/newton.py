@@ -36,19 +36,22 @@ _PAIR_DIMENSION = np.array([VECTOR_DIMENSION[v] + VECTOR_DIMENSION[w] for v, w i
 # T and the joint after it: by how much one piece's unknowns lie after those of the piece before.
 STRIDE = 10
 _BLOCKS = 6 * len(_PAIRS)
+# Of a piece: blocks of two joint vectors, joint vectors with T, T alone, and a zero.
+_NUMBERS = _BLOCKS + 20
 # A symmetric 3 x 3 matrix from its six numbers.
-_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+_SYMMETRIC = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 
 
 @lru_cache(maxsize=8)
 def _pair_product(table: Table) -> Array:
     """``(21, R)``: products of the rows' reduced coefficients of two vectors, at T = 1."""
-    return np.array([table.reduced[:, v] * table.reduced[:, w] for v, w in _PAIRS])
+    rows = table.reduced[: table.rows]
+    return np.array([rows[:, v] * rows[:, w] for v, w in _PAIRS])
 
 
 def _band_layout() -> Indices:
     """``(19, 19)``: where entry (i + d, i) of a piece's matrix lies among the numbers that `_assemble` lists."""
-    layout = np.full((JOINT, JOINT), _BLOCKS + JOINT)
+    layout = np.full((JOINT, JOINT), _NUMBERS - 1)
     vector = [0, 0, 0, 1, 1, 1, 2, 2, 2, -1, 3, 3, 3, 4, 4, 4, 5, 5, 5]
     axis = [0, 1, 2] * 3 + [0] + [0, 1, 2] * 3
     for i in range(JOINT):
@@ -63,7 +66,21 @@ def _band_layout() -> Indices:
     return layout
 
 
-_LAYOUT = _band_layout()
+@lru_cache(maxsize=16)
+def _band_places(pieces: int) -> tuple[Indices, Indices]:
+    """``(19, unknowns)`` each: the two places, among all pieces' numbers, whose sum every entry of the band is.
+
+    An unknown of a joint is in two pieces' matrices. Each starts at the joint before it, nine unknowns before its T.
+    """
+    layout = _band_layout()
+    places = np.full((2, (pieces + 1) * STRIDE, JOINT), _NUMBERS - 1)
+    for piece in range(pieces):
+        first = piece * STRIDE
+        places[0, first : first + STRIDE] = piece * _NUMBERS + layout[:STRIDE]
+        places[1, first + STRIDE : first + JOINT] = piece * _NUMBERS + layout[STRIDE:]
+    unknowns = slice(STRIDE - 1, STRIDE - 1 + STRIDE * pieces - 9)
+    one, other = (np.ascontiguousarray(side[unknowns]) for side in places)
+    return one, other
 
 
 class Step(NamedTuple):
@@ -109,14 +126,14 @@ class NewtonSystem:
         for k in range(1, 5):
             np.multiply(self._power[k - 1], t, out=self._power[k])
         self._inverse_power = 1.0 / self._power
-        self._row_power = self._inverse_power[self._table.dimension][:, None]
+        self._row_power = self._inverse_power[self._table.reduced_dimension][:, None]
         self._vector_power = self._power[VECTOR_DIMENSION][:, None]
 
     def slope(self, step: Step) -> float:
         """The objective's first-order change along ``step``."""
-        durations, vectors = self.problem.vectors(step.x, step.inner, step=True)
-        slope = float(self._objective_time @ durations)
+        slope = float(self._objective_time @ step.x[0::STRIDE])
         if self._energy is not None:
+            durations, vectors = self.problem.vectors(step.x, step.inner, step=True)
             rows = self.problem.row_step(self.at, durations, vectors)[self._energy.rows]
             slope += float((self._energy.forces * rows).sum())
         return slope
@@ -125,8 +142,7 @@ class NewtonSystem:
         """The reduced Hessian with barrier weights ``ratio`` ``(m,)``, as LAPACK's lower band ``(19, unknowns)``."""
         # The 3 x 3 matrix of every row: barrier weights times the gradients' squares, and the norms' own curvature.
         matrix, mixed, time = self.problem.squares(self.at, ratio)
-        for axis, entry in enumerate(np.diagonal(_SYMMETRIC)):
-            matrix[:, entry] += self._row_curvature[:, axis]
+        matrix[:, :3] += self._row_curvature
         if self._energy is not None:
             matrix[self._energy.rows] += self._energy.hessian
             mixed = np.zeros_like(self._total_dt) if mixed is None else mixed
@@ -142,36 +158,28 @@ class NewtonSystem:
     def _assemble(self, matrix: Array, pulled: Array, time: Array) -> Array:
         """The band from the rows' matrices ``(R, 6, K)``, their products with total_dt, and the part of T alone."""
         pieces = self.problem.pieces
-        evenness, tie = self.objective.evenness_hessian()
-        # Each piece's numbers: blocks of two joint vectors, joint vectors with T, T alone, and a zero.
-        numbers = np.empty((_BLOCKS + JOINT + 1, pieces))
+        evenness, tie = self.objective.evenness_hessian
+        numbers = np.empty((_NUMBERS, pieces))
         squares = product(_pair_product(self._table), matrix * self._inverse_power[2 * self._table.dimension][:, None])
         blocks = numbers[:_BLOCKS].reshape(len(_PAIRS), 6, pieces)
         np.multiply(squares, self._power[_PAIR_DIMENSION][:, None], out=blocks)
-        mixed = self._mixed[:6] + self._to_joints(pulled) + self._inner_to_joints(self._mixed[6:])
+        mixed = self._mixed[:6] + self._to_joints(np.concatenate([pulled, self._mixed[6:]]))
         numbers[_BLOCKS:-2] = mixed.reshape(18, pieces)
         numbers[-2] = time + evenness
         numbers[-1] = 0.0
-        entries = numbers.T.copy()[:, _LAYOUT]
-        # A piece's matrix starts at the joint before it, nine unknowns before its T.
-        band = np.zeros((pieces + 1, STRIDE, JOINT))
-        band[:-1] = entries[:, :STRIDE]
-        band[1:, : JOINT - STRIDE] += entries[:, STRIDE:]
-        lower: Array = band.reshape(-1, JOINT)[STRIDE - 1 : STRIDE - 1 + self.problem.unknowns].T
+        listed = numbers.T.ravel()
+        one, other = _band_places(pieces)
+        lower: Array = (listed.take(one) + listed.take(other)).T
         lower[STRIDE, :-1:STRIDE] += tie
         return lower
 
     def _to_joints(self, forces: Array) -> Array:
-        """Forces on rows ``(R, 3, K)`` as forces on the six joint vectors, K_1 and K_2 moving along."""
+        """Forces on rows, K_1 and K_2 ``(R + 2, 3, K)`` as forces on the joint vectors, K_1 and K_2 moving along."""
         return np.asarray(product(self._table.reduced.T, forces * self._row_power) * self._vector_power)
 
-    def _inner_to_joints(self, forces: Array) -> Array:
-        """Forces on K_1 and K_2 ``(2, 3, K)`` as forces on the six joint vectors."""
-        return np.asarray(product(self._table.inner.T, forces * self._inverse_power[2]) * self._vector_power)
-
-    def _inner_from_joints(self, vectors: Array) -> Array:
-        """Change of K_1 and K_2 ``(2, 3, K)`` along the equations with the six joint vectors."""
-        return np.asarray(product(self._table.inner, vectors * self._vector_power) * self._inverse_power[2])
+    def _from_joints(self, vectors: Array) -> Array:
+        """Change of rows, K_1 and K_2 ``(R + 2, 3, K)`` along the equations with the six joint vectors."""
+        return np.asarray(product(self._table.reduced, vectors * self._vector_power) * self._row_power)
 
     def _inner_rows(self, inner: Array) -> Array:
         """Change of the rows ``(R, 3, K)`` with K_1 and K_2."""
@@ -184,12 +192,12 @@ class NewtonSystem:
         return np.asarray(constant + self.at.durations * linear)
 
     def _row_forces(self, multipliers: Array, rows: Array, durations: Array) -> tuple[Array, Array]:
-        """Forces on the rows ``(R, 3, K)`` and on T ``(K,)`` after a change of rows and T.
+        """Forces on the rows ``(R + 2, 3, K)`` and on T ``(K,)`` after a change of rows ``(R, 3, K)`` and T.
 
         Those of the inequalities times ``multipliers``, of the objective, and of the curvature the change meets.
         """
         forces, time = self.problem.forces(self.at, multipliers)
-        forces = forces[:-2] + self._row_curvature * rows
+        forces[:-2] += self._row_curvature * rows
         time += self._objective_time
         if self._energy is not None:
             at_nodes = rows[self._energy.rows]
@@ -207,21 +215,22 @@ class NewtonSystem:
         still = np.zeros_like(at.durations)
         # First the part of K_1, K_2 that the equations fix, whatever the joints do.
         shift = solve_inner(self._inner_scale, equations)
-        rows = self._inner_rows(shift)
-        forces, time = self._row_forces(centring + ratio * (gap + problem.change(at, still, rows)), rows, still)
-        time += sum_over_rows(forces * self._total_dt) + sum_over_rows(self._mixed[6:] * shift)
+        shifted = self._inner_rows(shift)
+        forces, time = self._row_forces(centring + ratio * (gap + problem.change(at, still, shifted)), shifted, still)
+        time += sum_over_rows(forces[:-2] * self._total_dt) + sum_over_rows(self._mixed[6:] * shift)
         x, _ = lapack.dpbtrs(factor, -problem.scatter(self._to_joints(forces), time), lower=1)
         # Then everything else follows from the joints.
         durations, vectors = problem.vectors(x, shift, step=True)
-        vectors[6:] += self._inner_from_joints(vectors[:6]) + self._inner_dt * durations
-        rows = problem.row_step(at, durations, vectors)[:-2]
+        moved = self._from_joints(vectors[:6])
+        inner = shift + moved[-2:] + self._inner_dt * durations
+        rows = shifted + moved[:-2] + self._total_dt * durations
         change = problem.change(at, durations, rows)
         multiplier = centring + ratio * (gap + change)
         forces, _ = self._row_forces(multiplier, rows, durations)
-        balance = self._on_inner(forces) + self._mixed[6:] * durations
+        balance = self._on_inner(forces[:-2]) + self._mixed[6:] * durations
         return Step(
             x,
-            vectors[6:],
+            inner,
             -gap - change,
             multiplier - self.multipliers,
             solve_inner_transposed(self._inner_scale, balance),

@@ -14,6 +14,7 @@ to stay aloft, which sum T stands for. Gauss quadrature with four nodes a piece,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,7 @@ class Objective:
 
     def value(self, at: Point) -> float:
         """The objective."""
-        even = at.durations / self.pace
-        uneven = even[1:] - even[:-1]
+        uneven = self._uneven(at)
         total = float(at.durations.sum()) + 0.5 * self.evenness * float(uneven @ uneven)
         if self.energy_weight:
             velocity, acceleration = self._densities(at)
@@ -49,24 +49,34 @@ class Objective:
 
     def durations_gradient(self, at: Point) -> Array:
         """Gradient by T ``(K,)``, rows held."""
-        even = at.durations / self.pace
-        uneven = even[1:] - even[:-1]
-        weight = self.evenness / self.pace
+        uneven = self._uneven(at)
         gradient = np.ones(len(self.pace))
-        gradient[1:] += weight[1:] * uneven
-        gradient[:-1] -= weight[:-1] * uneven
+        gradient[1:] += self._weight[1:] * uneven
+        gradient[:-1] -= self._weight[:-1] * uneven
         if self.energy_weight:
             velocity, acceleration = self._densities(at)
             gradient += (velocity + acceleration).sum(0)
         return gradient
 
+    @cached_property
     def evenness_hessian(self) -> tuple[Array, Array]:
-        """The evenness term's Hessian: its diagonal ``(K,)`` and, for neighbours, ``(K - 1,)``."""
-        inverse = 1.0 / self.pace
-        weighted = self.evenness * inverse
-        diagonal = weighted * inverse
+        """The evenness term's Hessian, constant: its diagonal ``(K,)`` and, for neighbours, ``(K - 1,)``."""
+        diagonal = self._weight * self._inverse_pace
         diagonal[1:-1] *= 2.0
-        return (diagonal if len(inverse) > 1 else np.zeros(1)), -weighted[1:] * inverse[:-1]
+        neighbours = -self._weight[1:] * self._inverse_pace[:-1]
+        return (diagonal if len(diagonal) > 1 else np.zeros(1)), neighbours
+
+    @cached_property
+    def _inverse_pace(self) -> Array:
+        return 1.0 / self.pace
+
+    @cached_property
+    def _weight(self) -> Array:
+        return self.evenness * self._inverse_pace
+
+    def _uneven(self, at: Point) -> Array:
+        even = at.durations * self._inverse_pace
+        return np.asarray(even[1:] - even[:-1])
 
     def row_gradient(self, at: Point) -> Array:
         """Gradient by the rows at the nodes, velocities first, divided by T: ``(8, 3, K)``."""

@@ -51,7 +51,7 @@ class Strategy:
 
 STRATEGIES = {
     "joint": Strategy(Effort(3, 5, 24), compared=3, suspicious=1.02),
-    "fast": Strategy(Effort(1, 4), compared=2, suspicious=1.05),
+    "fast": Strategy(Effort(2, 4, tolerance=1e-3), compared=2, suspicious=1.05),
 }
 
 

@@ -8,7 +8,6 @@ A leg of a station runs straight from a portal of one neighbour to a portal of t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,16 +41,19 @@ class Route:
 class PortalGraph:
     """Portals and legs of one problem. Building it costs most; `routes` may be asked several times."""
 
-    def __init__(self, problem: Problem, pairs: Indices | None = None) -> None:
-        """``pairs`` ``(E, 2)`` of stations that meet, if known already."""
+    def __init__(self, problem: Problem, pairs: Indices | None = None, *, portals: int | None = None) -> None:
+        """``pairs`` ``(E, 2)`` of stations that meet, if known already; ``portals`` on each chord: 1, 3 or 5.
+
+        By default 5, fewer where legs would be too many.
+        """
         self._problem = problem
         self._pairs = adjacent_pairs(problem).pairs if pairs is None else pairs
         self._sources = covering_stations(problem, problem.start_m)
         self._targets = covering_stations(problem, problem.destination_m)
-        counts = np.bincount(self._pairs.ravel(), minlength=problem.station_count).astype(float)
-        legs = float((counts * counts).sum()) / 2.0
+        legs = legs_of(self._pairs)
         # A point a chord at least; where even that is too many, `planner.routing` has left stations out.
-        portals = next((n for n in (5, 3) if legs * n * n <= MAX_LEGS), 1)
+        if portals is None:
+            portals = next((n for n in (5, 3) if legs * n * n <= MAX_LEGS), 1)
         self._fractions = np.array(CHORD_FRACTIONS[portals])
         self._build_points()
         self._build_legs()
@@ -121,6 +123,13 @@ class PortalGraph:
         # An end is in no lens.
         return np.where(np.isinf(radius), np.inf, inside)
 
+    def fastest_through_s(self) -> Array:
+        """``(E,)``: the time expected of the fastest route with a handover on each chord; infinite where none is."""
+        graph = self._graph(leg_times_s(self._problem, self._length, self._out, self._into))
+        through = _distances(graph, self._start_nodes)[0] + _distances(graph, self._end_nodes)[0]
+        times: Array = through[self._pair_of >= 0].reshape(len(self._pairs), -1).min(axis=1)
+        return times
+
     def routes(self, count: int, *, slowdown: float = 1.0) -> list[Route]:
         """Up to ``count`` different sequences, best expected first.
 
@@ -133,9 +142,11 @@ class PortalGraph:
             return single[:count]
         graph = self._graph(leg_times_s(self._problem, self._length, self._out, self._into, slowdown=slowdown))
         limit = self._problem.max_handovers
-        forth, before = _distances(graph, self._start_nodes)
-        back, after = _distances(graph, self._end_nodes)
+        forth, befores = _distances(graph, self._start_nodes)
+        back, afters = _distances(graph, self._end_nodes)
         through = forth + back
+        # Lists are quicker to walk along than arrays.
+        before, after = befores.tolist(), afters.tolist()
         found: dict[tuple[int, ...], Route] = {}
         seen: set[bytes] = set()
         for node in np.argsort(through, kind="stable")[: MAX_TRIALS * count].tolist():
@@ -178,12 +189,12 @@ class PortalGraph:
 
         A leg may bend at a portal where nothing is handed over, to come into the next lens at a better angle.
         """
-        sequence: list[int] = []
-        for a, b in pairwise(path):
-            station = min(set(self._stations[a].tolist()) & set(self._stations[b].tolist()))
-            if sequence[-1:] != [station]:
-                sequence.append(station)
-        return tuple(sequence)
+        stations = self._stations[path]
+        here, there = stations[:-1], stations[1:]
+        # (leg, which station of the one end, which of the other)
+        same = here[:, :, None] == there[:, None, :]
+        shared = np.where(same, here[:, :, None], self._problem.station_count).min(axis=(1, 2))
+        return tuple(shared[np.append(True, shared[1:] != shared[:-1])].tolist())
 
     def _shortest_within(self, graph: csr_array, max_legs: int) -> tuple[list[int], float]:
         """The shortest path of at most ``max_legs`` legs (Bellman and Ford, one layer a leg); empty when none."""
@@ -214,12 +225,18 @@ class PortalGraph:
         return (path[::-1], time) if np.isfinite(time) else ([], time)
 
 
+def legs_of(pairs: Indices) -> float:
+    """About how many legs a graph of these pairs of stations has with one portal a chord."""
+    counts = np.bincount(pairs.ravel()).astype(float)
+    return float((counts * counts).sum()) / 2.0
+
+
 def _distances(graph: csr_array, sources: Indices) -> tuple[Array, Indices]:
     distance, before, _ = dijkstra(graph, directed=True, indices=sources, return_predecessors=True, min_only=True)
     return distance, before
 
 
-def _walk(before: Indices, node: int) -> list[int]:
+def _walk(before: list[int], node: int) -> list[int]:
     path = [node]
     while before[path[-1]] >= 0:
         path.append(int(before[path[-1]]))

@@ -7,7 +7,7 @@ time, and for further sequences to compare with, the portal graph prices every l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -23,7 +23,7 @@ from planner.discs import covering_stations, disc_radius_m
 from planner.errors import InfeasibleError
 from planner.lens import MIN_LENS_M, AdjacentPairs, adjacent_pairs, diagnose, lens_depth_m
 from planner.polyline import priced
-from planner.portals import MAX_LEGS, PortalGraph, Route
+from planner.portals import CHORD_FRACTIONS, MAX_LEGS, PortalGraph, Route, legs_of
 from planner.problem import Problem
 
 Array = NDArray[np.float64]
@@ -35,6 +35,11 @@ __all__ = ["MIN_LENS_M", "Route", "candidate_routes", "geodesic_sequence", "is_c
 MAX_PAIRS = 3_000
 # How much slower than the best a chain of masts may be for its stations to stay: a part of it, and seconds.
 COARSE_SLACK, COARSE_SLACK_S = 0.01, 15.0
+# Stations on a path whose onward handovers are looked for together.
+_BLOCK = 256
+# The same for a route over the middles of chords, for its chords to get all their portals, and legs between these.
+FINE_SLACK, FINE_SLACK_S = 0.003, 3.0
+FINE_LEGS = 1_000_000
 # At least so many stations are kept, however densely they overlap.
 MIN_STATIONS = 100
 
@@ -81,15 +86,24 @@ def geodesic_sequence(problem: Problem, path_m: Array) -> tuple[int, ...] | None
     Of equally few, those whose spans along the path overlap most. None when the ranges of the problem itself (which
     may be smaller than the ones the path was found in) or the antennas' heights leave a gap.
     """
+    both = np.intersect1d(
+        covering_stations(problem, problem.start_m), covering_stations(problem, problem.destination_m)
+    )
+    if len(both):
+        deepest = [float(problem.ranges_m[k] - _farthest_end(problem, k)) for k in both]
+        return (int(both[int(np.argmax(deepest))]),)
     radii = disc_radius_m(problem, np.arange(problem.station_count), problem.disc_plane_m())
     enter, leave = _spans(path_m, problem.station_positions_m[:, :2], radii)
     on_path = np.flatnonzero(leave > enter)
+    if not len(on_path):
+        return None
+    near = select_stations(problem, on_path)
     length = float(np.linalg.norm(np.diff(path_m, axis=0), axis=1).sum())
     # At a corner two ranges meet in one point, which the mesh knows up to rounding: spans may just miss each other.
     for slack in (1e-6, 1e-3, 1.0):
-        sequence = _fewest(problem, on_path, enter, leave, length, slack)
+        sequence = _fewest(near, enter[on_path], leave[on_path], length, slack)
         if sequence is not None:
-            return sequence
+            return tuple(int(on_path[k]) for k in sequence)
     return None
 
 
@@ -119,29 +133,18 @@ def _spans(path_m: Array, centres: Array, radii: Array) -> tuple[Array, Array]:
     return enter, leave
 
 
-def _fewest(
-    problem: Problem, on_path: Indices, enter: Array, leave: Array, length: float, slack: float
-) -> tuple[int, ...] | None:
+def _fewest(problem: Problem, enter: Array, leave: Array, length: float, slack: float) -> tuple[int, ...] | None:
     sources = set(covering_stations(problem, problem.start_m).tolist())
     targets = set(covering_stations(problem, problem.destination_m).tolist())
-    both = sorted(sources & targets)
-    if both:
-        deepest = [float(problem.ranges_m[k] - _farthest_end(problem, k)) for k in both]
-        return (both[int(np.argmax(deepest))],)
     # Least (legs, sum of how thin the handovers are) to reach each span. A handover leads to a span that ends later, so
     # spans met in order of their ends are final when met.
-    order = on_path[np.lexsort((on_path, leave[on_path]))]
+    order = np.argsort(leave, kind="stable")
     cost = {k: (1, 0.0) for k in order.tolist() if k in sources and enter[k] <= slack}
     before: dict[int, int] = {}
-    for at, k in enumerate(order.tolist()):
+    for k, nexts in _onward(problem, order, enter, leave + slack):
         if k not in cost:
             continue
-        nexts = order[at + 1 :]
-        nexts = nexts[enter[nexts] <= leave[k] + slack]
-        if not len(nexts):
-            continue
-        depths = lens_depth_m(problem, np.full(len(nexts), k), nexts)
-        for m in nexts[depths >= MIN_LENS_M].tolist():
+        for m in nexts:
             overlap = max(float(leave[k] - enter[m]), 0.0)
             onward = (cost[k][0] + 1, cost[k][1] + 1.0 / (1.0 + overlap))
             if m not in cost or onward < cost[m]:
@@ -154,6 +157,19 @@ def _fewest(
     while path[-1] in before:
         path.append(before[path[-1]])
     return tuple(path[::-1])
+
+
+def _onward(problem: Problem, order: Indices, enter: Array, leave: Array) -> Iterator[tuple[int, list[int]]]:
+    """Every station of ``order`` and the later ones that it can hand over to: entered before it is left, in a lens."""
+    for begin in range(0, len(order), _BLOCK):
+        block = order[begin : begin + _BLOCK]
+        later = np.arange(len(order)) > np.arange(begin, begin + len(block))[:, None]
+        first, second = np.nonzero(later & (enter[order] <= leave[block][:, None]))
+        met = lens_depth_m(problem, block[first], order[second]) >= MIN_LENS_M
+        first, second = first[met], second[met]
+        edges = np.searchsorted(first, np.arange(len(block) + 1))
+        for row, k in enumerate(block.tolist()):
+            yield k, order[second[edges[row] : edges[row + 1]]].tolist()
 
 
 def _farthest_end(problem: Problem, station: int) -> float:
@@ -171,7 +187,28 @@ def _graph(problem: Problem) -> tuple[Indices, PortalGraph]:
     number = np.full(problem.station_count, -1)
     number[stations] = np.arange(len(stations))
     pairs = number[adjacent.pairs]
-    return stations, PortalGraph(select_stations(problem, stations), pairs[(pairs >= 0).all(axis=1)])
+    pairs = pairs[(pairs >= 0).all(axis=1)]
+    near = select_stations(problem, stations)
+    if problem.max_handovers is None:
+        pairs = _pairs_worth_all_portals(near, pairs)
+    return stations, PortalGraph(near, pairs)
+
+
+def _pairs_worth_all_portals(problem: Problem, pairs: Indices) -> Indices:
+    """Pairs whose chords lie on a route over the middles of chords that is not much slower than the fastest."""
+    times_s = PortalGraph(problem, pairs, portals=1).fastest_through_s()
+    order = np.argsort(times_s, kind="stable")
+    least_s = float(times_s[order[0]]) if len(order) else np.inf
+    if not np.isfinite(least_s):
+        return pairs
+    fewest, most = 0, int(np.searchsorted(times_s[order], least_s * (1.0 + FINE_SLACK) + FINE_SLACK_S, side="right"))
+    while most - fewest > 1:
+        middle = (fewest + most) // 2
+        if legs_of(pairs[order[:middle]]) * max(CHORD_FRACTIONS) ** 2 <= FINE_LEGS:
+            fewest = middle
+        else:
+            most = middle
+    return pairs[np.sort(order[:most])]
 
 
 def _stations_worth_a_look(problem: Problem, adjacent: AdjacentPairs) -> Indices:

@@ -102,6 +102,13 @@ class Table:
         return np.ascontiguousarray(self.coefficients.transpose(0, 2, 1).reshape(-1, self.rows + 2))
 
     @cached_property
+    def uses(self) -> list[list[tuple[int, bool]]]:
+        """Of every row the vectors it is made of, and whether T multiplies them."""
+        timed = (self.coefficients[1:] != 0.0).sum(axis=0) > 0
+        used = timed | (self.coefficients[0] != 0.0)
+        return [[(int(v), bool(timed[r, v])) for v in np.flatnonzero(used[r])] for r in range(self.rows)]
+
+    @cached_property
     def inner_rows(self) -> Array:
         """``(2 R, 2)``: takes K_1, K_2 to the rows' factors of 1, T."""
         return np.ascontiguousarray(self.coefficients[:2, : self.rows, 6:].reshape(-1, 2))
@@ -119,9 +126,17 @@ class Table:
 
     @cached_property
     def reduced(self) -> Array:
-        """``(R, 6)``: every row as a combination of the joint vectors at T = 1, K_1 and K_2 eliminated."""
+        """``(R + 2, 6)``: every row as a combination of the joint vectors at T = 1, K_1 and K_2 eliminated.
+
+        The last two are K_1 and K_2 themselves.
+        """
         at_one = self.coefficients.sum(axis=0)[: self.rows]
-        return np.asarray(at_one[:, :6] + at_one[:, 6:] @ self.inner)
+        return np.concatenate([at_one[:, :6] + at_one[:, 6:] @ self.inner, self.inner])
+
+    @cached_property
+    def reduced_dimension(self) -> Indices:
+        """``(R + 2,)``: dimension of every row of ``reduced``."""
+        return np.concatenate([self.dimension, [2, 2]])
 
 
 @lru_cache(maxsize=8)

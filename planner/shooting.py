@@ -25,9 +25,9 @@ from planner.rows import A1, SOLVE_INNER, V1, VECTORS, W1, A, Table, V, W, produ
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Entries (first axis, second axis) of a symmetric 3 x 3 matrix, kept as six numbers.
-FIRST_AXIS, SECOND_AXIS = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])
-THIRD_SQUARED = 5
+# Entries (first axis, second axis) of a symmetric 3 x 3 matrix, kept as six numbers, its diagonal first.
+FIRST_AXIS, SECOND_AXIS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+THIRD_SQUARED = 2
 
 
 @dataclass(frozen=True)
@@ -133,10 +133,9 @@ class ShootingProblem:
                 fixed |= dict(zip((W, V, A), self.first.reshape(3, 3), strict=True))
             if piece == self.pieces - 1:
                 fixed |= dict(zip((W1, V1, A1), self.last.reshape(3, 3), strict=True))
-            for row in range(self.rows):
-                used = np.flatnonzero(self.table.coefficients[:, row].any(axis=0)).tolist()
-                timed = set(np.flatnonzero(self.table.coefficients[1:, row].any(axis=0)).tolist())
-                constant[row, piece] = all(v in fixed and not (v in timed and fixed[v][axes].any()) for v in used)
+            moves = {v for v, value in fixed.items() if value[axes].any()}
+            for row, uses in enumerate(self.table.uses):
+                constant[row, piece] = all(v in fixed and not (timed and v in moves) for v, timed in uses)
         return constant
 
     def vectors(self, x: Array, inner: Array, *, step: bool = False) -> tuple[Array, Array]:

@@ -211,7 +211,7 @@ ROWS: tuple[Row, ...] = (
     both("origin-shift", COMPLETED, "setpoints are laid from the new origin, and it is told", "EKF origin moved"),
     both("home-shift", COMPLETED, "nothing we send refers to home"),
     both("never-ready", REFUSED, "no position, no flight"),
-    each("battery-low", done(), way_out(LAPSE), "PX4 warns; ArduPilot returns, as preflight has had it set"),
+    each("battery-low", done("battery low"), way_out(LAPSE), "PX4 warns; ArduPilot returns, as preflight has it set"),
     both("battery-critical", CONTINGENCY, "its battery failsafe, set by preflight: silence, until it is down", LAPSE),
     each("battery-drain", done(), way_out(LAPSE), "PX4 counts the charge, which lasts; ArduPilot the volts, which sag"),
     both("wind-gust", COMPLETED, "within what it can lean against"),

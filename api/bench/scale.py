@@ -32,7 +32,8 @@ def segments_row(segments: int, seed: int) -> dict[str, Any]:
     result = measure(case)
     mission = Mission.from_document(case.document).with_options(PAPER_OPTIONS)
     row = row_of(result)
-    solution, solve_s, wall_s = timed(lambda: plan_paper(lay_out(mission).problem))
+    problem = lay_out(mission).problem
+    solution, solve_s, wall_s = timed(lambda: plan_paper(problem))
     duration_s = solution.trajectory.duration_s
     direct = {
         "mission_time_s": duration_s,

@@ -160,15 +160,16 @@ def _wall_ahead_s() -> float:
     return ahead_s
 
 
-_MOST, _JUST_BEFORE = 0.9, 0.15
+_MOST, _JUST_BEFORE, _STRAYS = 0.9, 0.15, 5e-4
 
 
 def lateness_ms(time_s: Array, rate_hz: float) -> Array:
     """How late each datagram is against the earliest deadline not served before it, on the sender's even grid.
 
     The grid's phase is not known to us. Taken modulo the period, the shortest arc with nine tenths of the datagrams is
-    where they are when little is wrong; the earliest of them, or just before them, is taken for a deadline. So a sender
-    that is late by the same amount all the time is not found out; one that misses deadlines is charged from the first.
+    where they are when little is wrong; the earliest of them, or just before them, is taken for a deadline, but for a
+    few strays: in a long run some are late by nearly a whole period. So a sender that is late by the same amount all
+    the time is not found out; one that misses deadlines is charged from the first.
     """
     turns = (time_s - time_s[0]) * rate_hz
     within = np.sort(np.mod(turns, 1.0))
@@ -176,7 +177,8 @@ def lateness_ms(time_s: Array, rate_hz: float) -> Array:
     twice = np.concatenate([within, within + 1.0])
     first = float(within[int((twice[most - 1 : most - 1 + len(within)] - within).argmin())])
     before = np.mod(first - within, 1.0)
-    phase = first - float(before[before <= _JUST_BEFORE].max())
+    before = np.sort(before[before <= _JUST_BEFORE])[::-1]
+    phase = first - float(before[min(int(_STRAYS * len(within)), len(before) - 1)])
     index = np.floor(turns - phase + 1e-9)
     owed = np.concatenate([index[:1], np.minimum(index[1:], index[:-1] + 1.0)])
     return np.asarray((turns - phase - owed) / rate_hz * 1e3)

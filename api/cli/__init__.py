@@ -15,7 +15,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from api.cli import bench, demo, doctor, fly, handovers, plan, report, serve, setpoints, simulate
+from api.cli import bench, demo, doctor, flight, fly, handovers, plan, report, serve, setpoints, simulate
 from api.cli.errors import EXIT_BAD_INPUT, EXIT_FAULT, EXIT_INTERRUPTED, CommandError, Terminated
 
 __all__ = ["main"]
@@ -57,6 +57,7 @@ for _panel, _module in (
     ("Plan", handovers),
     ("Plan", setpoints),
     ("Fly", fly),
+    ("Fly", flight),
     ("Fly", simulate),
     ("Fly", report),
     ("Run", demo),

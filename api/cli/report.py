@@ -1,4 +1,4 @@
-"""``skyrelay report``: planned against flown, from a telemetry log and the plan alone."""
+"""``skyrelay report``: planned against flown, from a telemetry log and the plan."""
 
 from __future__ import annotations
 
@@ -19,18 +19,26 @@ def register(app: typer.Typer, panel: str) -> None:
 def report(
     log_file: Annotated[str, typer.Argument(metavar="FLIGHT.tlog", help="What `skyrelay fly --log` kept.")],
     plan_file: Annotated[str, typer.Argument(metavar="PLAN.json", help="The plan it was a flight of.")],
+    events: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EVENTS.jsonl",
+            help="The flight's events, a line each (the service keeps them beside the log; `fly --json` prints them): "
+            "adds how often another way of a station came to send, and the streamer's own count of lateness.",
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
-    """Compare a flight with its plan: tracking, range left, handovers, the stream's gaps and lateness.
+    """Compare a flight with its plan: tracking, range left, handovers, links, the stream's gaps and lateness.
 
-    Everything is measured from the frames in the log; nothing else is believed.
+    Everything is measured from the frames in the log, unless the flight's events are given too.
     """
     from link.errors import LinkError
     from link.report import report_flight
 
     plan = inputs.plan(plan_file)
     try:
-        found = report_flight(log_file, plan)
+        found = report_flight(log_file, plan, events)
     except (LinkError, OSError) as error:
         raise BadInputError(
             "the log cannot be compared with the plan",

@@ -75,7 +75,7 @@ def create(services: Wired, body: schemas.NewFlight) -> Response:
         record = planned(services, body.mission_id, body.version)
         if record.plan_sha256 != body.plan_sha256:
             raise shared.conflict(f"the mission's plan is {record.plan_sha256}, not {body.plan_sha256}")
-        options = body.model_dump(include={"speedup", "rate_hz", "operator_words"}, exclude_none=True)
+        options = body.model_dump(exclude={"mission_id", "plan_sha256", "vehicle_id", "version"}, exclude_none=True)
         flight = services.desk.create(
             services.plan_of(record),
             mission_id=record.id,

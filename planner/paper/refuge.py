@@ -40,46 +40,61 @@ class Refuges:
 
 def find_refuges(problem: Problem, corridor: Corridor) -> Refuges:
     """The refuges of a corridor. Raises `InfeasibleError` where a joint's balls have no point in common."""
-    count = len(corridor) - 1
-    points, slack, shrink = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
-    for k in range(count):
-        balls = corridor.joint_balls(k + 1)
-        centre = _deepest_point_m(problem, balls)
-        points[k], slack[k] = _lift(problem, balls, centre)
-        shrink[k] = RANGE_SHRINK * float(problem.ranges_m[list(balls)].max())
+    points = _deepest_points_m(problem, corridor)
+    slack, shrink = np.zeros(len(points)), np.zeros(len(points))
+    for joints, balls in alike(corridor):
+        points[joints], slack[joints] = _lift(problem, balls, points[joints])
+        shrink[joints] = RANGE_SHRINK * problem.ranges_m[balls].max(axis=1)
     thin = slack < 8.0 * shrink
     return Refuges(points, slack, thin, np.minimum(shrink, 0.25 * np.maximum(slack, 0.0)))
 
 
-def slack_m(problem: Problem, balls: tuple[int, ...], point_m: Array) -> float:
-    """Range left at ``point_m`` to the tightest of ``balls``, elevation cones included; the band apart."""
-    stations = list(balls)
-    offset = point_m - problem.station_positions_m[stations]
-    left = problem.ranges_m[stations] - np.linalg.norm(offset, axis=1)
+def alike(corridor: Corridor) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Joints with equally many balls, to be looked at together: which ``(j,)``, from 0, and their balls ``(j, b)``."""
+    balls = [corridor.joint_balls(joint) for joint in range(1, len(corridor))]
+    counts = np.array([len(stations) for stations in balls], dtype=np.int64)
+    groups = [np.flatnonzero(counts == count) for count in np.unique(counts)]
+    return [(joints, np.array([balls[k] for k in joints], dtype=np.int64)) for joints in groups]
+
+
+def slack_m(problem: Problem, balls: tuple[int, ...] | NDArray[np.int64], point_m: Array) -> Array:
+    """Range left at ``point_m`` ``(..., 3)`` to the tightest of its ``balls`` ``(..., b)``; the band apart.
+
+    Elevation cones count too. Shape ``(...)``.
+    """
+    stations = np.asarray(balls, dtype=np.int64)
+    offset = point_m[..., None, :] - problem.station_positions_m[stations]
+    left = problem.ranges_m[stations] - np.linalg.norm(offset, axis=-1)
     if problem.min_elevation_deg is not None:
         angle = problem.min_elevation_deg[stations]
         slope = np.tan(np.radians(np.maximum(angle, 0.0)))
-        above = offset[:, 2] - slope * np.linalg.norm(offset[:, :2], axis=1)
+        above = offset[..., 2] - slope * np.linalg.norm(offset[..., :2], axis=-1)
         left = np.minimum(left, np.where(angle < 0.0, np.inf, above))
-    return float(left.min())
+    return np.asarray(left.min(axis=-1))
 
 
-def _deepest_point_m(problem: Problem, balls: tuple[int, ...]) -> Array:
-    if len(balls) <= 2:
-        i, j = balls[0], balls[-1]
-        if float(lens_depth_m(problem, i, j)) < (MIN_LENS_M if i != j else 0.0):
-            raise InfeasibleError(broken_pair(problem, i, j))
-        return lens_point_m(problem, i, j)
-    point = _chebyshev_point_m(problem, balls)
-    if slack_m(problem, balls, point) < 0.0:
-        raise InfeasibleError(
-            Infeasibility("broken_chain", f"the ranges of stations {list(balls)} have no point in common", balls)
-        )
-    return point
+def _deepest_points_m(problem: Problem, corridor: Corridor) -> Array:
+    """``(S - 1, 3)``: for every joint the point with the most range left to all its balls."""
+    points = np.zeros((len(corridor) - 1, 3))
+    for joints, balls in alike(corridor):
+        if balls.shape[1] > 2:
+            for k, stations in zip(joints, balls.tolist(), strict=True):
+                points[k] = _chebyshev_point_m(problem, tuple(stations))
+            continue
+        first, last = balls[:, 0], balls[:, -1]
+        depth = lens_depth_m(problem, first, last)
+        apart = np.flatnonzero(depth < np.where(first == last, 0.0, MIN_LENS_M))
+        if len(apart):
+            raise InfeasibleError(broken_pair(problem, int(first[apart[0]]), int(last[apart[0]])))
+        points[joints] = lens_point_m(problem, first, last)
+    return points
 
 
 def _chebyshev_point_m(problem: Problem, balls: tuple[int, ...]) -> Array:
-    """The point of the band with the most range left to three balls or more: a small cone program."""
+    """The point of the band with the most range left to three balls or more: a small cone program.
+
+    Raises `InfeasibleError` where there is none.
+    """
     stations = list(balls)
     centre = problem.station_positions_m[stations].mean(axis=0)
     unit = float(problem.ranges_m[stations].max())
@@ -106,18 +121,29 @@ def _chebyshev_point_m(problem: Problem, balls: tuple[int, ...]) -> Array:
     )
     point: Array = centre + unit * program.solve()[:3]
     point[2] = np.clip(point[2], low, high)
+    if slack_m(problem, balls, point) < 0.0:
+        message = f"the ranges of stations {stations} have no point in common"
+        raise InfeasibleError(Infeasibility("broken_chain", message, balls))
     return point
 
 
-def _lift(problem: Problem, balls: tuple[int, ...], point_m: Array) -> tuple[Array, float]:
-    """``point_m`` moved off the edges of the band as far as at least half its slack remains, and its slack."""
-    slack = slack_m(problem, balls, point_m)
+def _lift(problem: Problem, balls: NDArray[np.int64], points_m: Array) -> tuple[Array, Array]:
+    """``points_m`` ``(j, 3)`` moved off the edges of the band as far as at least half their slack to ``balls`` remains.
+
+    Returns them with their slack ``(j,)``.
+    """
+    slack = slack_m(problem, balls, points_m)
+    least = 0.5 * slack
+    points = points_m.copy()
     low, high = problem.limits.min_alt_m, problem.limits.max_alt_m
     step = min(0.25 * (high - low), 1.0)
-    while step > 1e-7:
-        lifted = point_m.copy()
-        lifted[2] = np.clip(point_m[2], low + step, high - step)
-        if slack_m(problem, balls, lifted) >= 0.5 * slack:
-            return lifted, slack_m(problem, balls, lifted)
+    left = np.arange(len(points))
+    while step > 1e-7 and len(left):
+        lifted = points[left]
+        lifted[:, 2] = np.clip(lifted[:, 2], low + step, high - step)
+        now = slack_m(problem, balls[left], lifted)
+        enough = now >= least[left]
+        points[left[enough]], slack[left[enough]] = lifted[enough], now[enough]
+        left = left[~enough]
         step *= 0.5
-    return point_m, slack
+    return points, slack

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planner.conic import ConeProgram
 from planner.corridor import Corridor
 from planner.errors import SolverError
-from planner.paper.refuge import BAND_SHRINK_M, Refuges, find_refuges, slack_m
+from planner.paper.refuge import BAND_SHRINK_M, Refuges, alike, find_refuges, slack_m
 from planner.problem import Problem
 
 Array = NDArray[np.float64]
@@ -41,11 +41,25 @@ def shortest_polyline(
 
 
 def settled(problem: Problem, corridor: Corridor, refuges: Refuges, joints_m: Array) -> Array:
-    """``joints_m`` ``(S - 1, 3)`` moved to where every constraint holds exactly, between start and destination."""
-    joints = [
-        _settle(problem, corridor.joint_balls(k + 1), joints_m[k], refuges.points_m[k]) for k in range(len(joints_m))
-    ]
-    return np.vstack([problem.start_m, *joints, problem.destination_m])
+    """``joints_m`` ``(S - 1, 3)`` moved to where every constraint holds exactly, between start and destination.
+
+    Each is drawn towards its refuge just as far as it takes.
+    """
+    limits = problem.limits
+    joints = joints_m.copy()
+    joints[:, 2] = np.clip(joints[:, 2], limits.min_alt_m, limits.max_alt_m)
+    for which, balls in alike(corridor):
+        outside = slack_m(problem, balls, joints[which]) < 0.0
+        which, balls = which[outside], balls[outside]
+        wanted, refuge = joints[which], refuges.points_m[which]
+        share = 1e-9
+        while len(which) and share < 1.0:
+            joints[which] = wanted + share * (refuge - wanted)
+            outside = slack_m(problem, balls, joints[which]) < 0.0
+            which, balls, wanted, refuge = which[outside], balls[outside], wanted[outside], refuge[outside]
+            share *= 4.0
+        joints[which] = refuge
+    return np.vstack([problem.start_m, joints, problem.destination_m])
 
 
 def polyline_length_m(waypoints_m: Array) -> float:
@@ -141,18 +155,3 @@ def _cones(problem: Problem, balls: tuple[int, ...], *, want_flat: bool) -> list
     return [
         (s, float(np.tan(np.radians(angles[s])))) for s in balls if angles[s] >= 0.0 and (angles[s] == 0) == want_flat
     ]
-
-
-def _settle(problem: Problem, balls: tuple[int, ...], joint_m: Array, refuge_m: Array) -> Array:
-    """``joint_m`` drawn towards its refuge just as far as it takes to keep every constraint exactly."""
-    joint = joint_m.copy()
-    joint[2] = np.clip(joint[2], problem.limits.min_alt_m, problem.limits.max_alt_m)
-    if slack_m(problem, balls, joint) >= 0.0:
-        return joint
-    share = 1e-9
-    while share < 1.0:
-        drawn = joint + share * (refuge_m - joint)
-        if slack_m(problem, balls, drawn) >= 0.0:
-            return np.asarray(drawn)
-        share *= 4.0
-    return refuge_m

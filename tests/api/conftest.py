@@ -64,6 +64,7 @@ class Server:
     """``skyrelay serve`` as a process of its own."""
 
     def __init__(self, data: Path, *arguments: str) -> None:
+        self.data = data
         self.log = (data.parent / f"{data.name}.log").open("w+b")
         self.process = subprocess.Popen(
             [*SKYRELAY, "serve", "--port", "0", "--data", str(data), *arguments],

@@ -43,6 +43,13 @@ def test_lateness_is_against_the_senders_own_grid() -> None:
     assert missed(grid + late_s, 20.0) == 0
 
 
+def test_a_few_that_are_late_by_nearly_a_period_move_no_grid() -> None:
+    grid = np.arange(20_000) / 20.0
+    late_s = np.zeros(20_000)
+    late_s[[500, 7_000, 12_345]] = 0.0485
+    assert lateness_ms(grid + late_s, 20.0) == pytest.approx(late_s * 1e3, abs=1e-6)
+
+
 def test_missed_deadlines_are_counted_and_charged_from_the_first_of_them() -> None:
     """Three deadlines pass unserved; the next datagram is 2 ms late at its own, 152 ms at the first it owed."""
     grid = np.arange(100) / 20.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,16 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
+from api.cli import service as service_module
 from api.cli import simulator
 from api.cli.demo import QUICK_MISSION
 from api.cli.processes import Children
+from api.schemas import NewFlight
 from gcs.plan import Plan
 from link.errors import SupervisorError
+from link.request import HANDOVER_WAYS
 from link.supervisor import attach
-from tests.api.conftest import Server
+from tests.api.conftest import Outcome, Server
 from tests.api.test_api_rest_missions import assert_problem, wait_for_planning
 
 SPEEDUP = 10.0
@@ -178,6 +181,7 @@ def test_a_new_plan_is_proposed_accepted_and_flown(client: httpx.Client, planned
         proposal = answer.json()
         assert (proposal["at_rest"], proposal["decide_by_t_plus_s"]) == (True, None)
         assert proposal["stations"] == ["west"]
+        assert proposal["checks"] == []  # no handover, so nothing that could come too late
         assert proposal["plan"]["mission"]["destination"] == {"east_m": 0.0, "north_m": 0.0, "up_m": 110.0}
         assert client.get(address).json()["phase"] == "holding"
         assert client.get(f"{address}/plan").json()["plan_sha256"] == planned["plan_sha256"]
@@ -187,7 +191,7 @@ def test_a_new_plan_is_proposed_accepted_and_flown(client: httpx.Client, planned
         far = {"destination": {"east_m": 9000, "north_m": 0, "up_m": 110}}
         assert assert_problem(client.post(f"{address}/replan", json=far), 409)["reason"] == "destination_uncovered"
         unknown = client.post(f"{address}/replan/accept", json={"plan_sha256": "0" * 64})
-        assert "has been proposed" in assert_problem(unknown, 404)["detail"]
+        assert "ask for one and accept that" in assert_problem(unknown, 404)["detail"]
 
         word = {"plan_sha256": proposal["plan_sha256"], "by": "me", "reason": "the patient is elsewhere"}
         accepted = client.post(f"{address}/replan/accept", json=word)
@@ -259,6 +263,10 @@ def test_a_flight_nobody_answers_can_be_given_up(client: httpx.Client, planned: 
         ({"rate_hz": 1000}, 422),
         ({"speedup": 0}, 422),
         ({"wings": 2}, 422),
+        ({"rally": "some"}, 422),
+        ({"fence": 3}, 422),
+        ({"handover_way": "shout"}, 422),
+        ({"handover_way": "parameter"}, 422),  # PX4 has no such parameter
     ],
 )
 def test_a_flight_that_must_not_be_is_refused_and_not_kept(
@@ -269,6 +277,25 @@ def test_a_flight_that_must_not_be_is_refused_and_not_kept(
     before = client.get("/v1/flights", params={"limit": 200}).json()["items"]
     assert_problem(client.post("/v1/flights", json=request_for(planned, **change)), status)
     assert client.get("/v1/flights", params={"limit": 200}).json()["items"] == before
+
+
+def test_a_flight_is_asked_for_with_the_options_of_the_command_line(
+    client: httpx.Client, planned: dict[str, Any], server: Server
+) -> None:
+    client.put("/v1/links/far", json={"url": "udpout:127.0.0.1:9"})
+    client.put("/v1/vehicles/asked", json={"autopilot": "ardupilot", "links": {"*": "far"}})
+    asked = {"rally": False, "fence": True, "handover_way": "parameter"}
+    for wanted in (asked, {}):
+        with flight_of(client, planned, vehicle_id="asked", **wanted) as flight:
+            (path,) = server.data.glob(f"flights/{flight['id']}/request.json")
+            request = json.loads(path.read_text())
+        default = {"rally": True, "fence": False, "handover_way": "auto"}
+        assert {name: request[name] for name in asked} == (wanted or default)
+
+
+def test_every_way_of_a_handover_can_be_asked_for() -> None:
+    schema = NewFlight.model_json_schema()["properties"]["handover_way"]["anyOf"][0]
+    assert tuple(schema["enum"]) == HANDOVER_WAYS
 
 
 def test_a_vehicle_without_a_link_to_a_station_is_told(client: httpx.Client, planned: dict[str, Any]) -> None:
@@ -306,3 +333,102 @@ def test_telemetry_to_a_foreign_page_is_refused(client: httpx.Client) -> None:
     address = f"ws{str(client.base_url)[4:]}/v1/flights/none/telemetry"
     with pytest.raises(InvalidStatus, match="403"), connect(address, origin=Origin("http://evil.example")):
         pass
+
+
+# -- from the command line --------------------------------------------------------------------------------------------
+
+
+Cli = Callable[..., Outcome]
+
+
+def test_a_flight_of_the_service_is_spoken_to_from_the_command_line(
+    client: httpx.Client, planned: dict[str, Any], server: Server, cli: Cli
+) -> None:
+    client.put("/v1/links/far", json={"url": "udpout:127.0.0.1:9"})
+    client.put("/v1/vehicles/told", json={"autopilot": "px4", "links": {"*": "far"}})
+    at = ("--service", server.address)
+    # So slow a clock that the vehicle is waited for as long as this takes.
+    with flight_of(client, planned, vehicle_id="told", speedup=0.1) as flight:
+        listed = cli("flight", *at)
+        assert listed.code == 0
+        assert f"{flight['id']}  " in listed.out
+        assert "vehicle told" in listed.out
+        looked = cli("flight", flight["id"], *at)
+        assert looked.code == 0
+        assert looked.out.startswith(f"flight {flight['id']}: connecting")
+        # On the ground there is nothing to hold, and nothing to plan on from: the service's own words, exit code 2.
+        held = cli("flight", flight["id"], "hold", *at)
+        assert (held.code, held.out) == (2, "")
+        assert "hold" in held.err
+        new = cli("flight", flight["id"], "replan", "--destination", "0,0,110", "--exclude", "east", *at)
+        assert "cannot be replanned" in new.err
+        unreadable = cli("flight", flight["id"], "replan", "--destination", "0,0", *at)
+        assert "three numbers: east_m,north_m,up_m" in unreadable.err
+        accepted = cli("flight", flight["id"], "accept", "--plan", "0" * 64, *at)
+        assert "ask for one and accept that" in accepted.err
+        nameless = cli("flight", flight["id"], "accept", *at)
+        assert "--plan" in nameless.err
+        assert {o.code for o in (new, unreadable, accepted, nameless)} == {2}
+        ended = cli("flight", flight["id"], "abort", "--by", "pilot", "--reason", "birds", *at, "--json")
+        assert json.loads(ended.out)["id"] == flight["id"]
+        wait_for(client, flight["id"], "refused")
+        events = client.get(f"/v1/flights/{flight['id']}/events", params={"limit": 1000}).json()["items"]
+        words = [(e["data"]["word"], e["data"]["by"], e["data"]["reason"]) for e in events if e["kind"] == "word"]
+        assert words == [("abort", "pilot", "birds")]
+    assert cli("flight", "none", "hold", *at).code == 2
+    silent = cli("flight", "--service", "http://127.0.0.1:9")
+    assert silent.code == 1
+    assert "the service does not answer" in silent.err
+
+
+def test_a_proposal_is_shown_with_what_speaks_against_it_and_how_to_accept_it(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, str, Any]] = []
+    sha = "ab" * 32
+    check = {"level": "warning", "name": "handover 2", "message": "no room to stop", "fix": "plan slower"}
+    proposal = {
+        "plan_sha256": sha, "stations": ["west", "east"], "mission_time_s": 3725.0, "decide_by_t_plus_s": 65.0,
+        "handovers": [{"index": 2, "from": "west", "to": "east", "t_plus_s": 90.0}],
+        "checks": [check, {**check, "level": "pass", "name": "other"}], "plan": {},
+    }  # fmt: skip
+
+    def call(self: object, method: str, path: str, body: Any = None) -> Any:
+        asked.append((method, path, body))
+        if method == "GET":
+            return {"mission": {"destination": {"lat_deg": 1.0, "lon_deg": 2.0, "alt_amsl_m": 3.0}}}
+        return proposal
+
+    monkeypatch.setattr(service_module.Service, "call", call)
+    shown = cli(
+        "flight", "f", "replan", "--destination", "53.1,4.8,100", "--exclude", "a", "--exclude", "b", "--ahead", "45"
+    )
+    assert asked[-1] == (
+        "POST",
+        "v1/flights/f/replan",
+        {
+            "by": None, "reason": None, "ahead_s": 45.0, "excluded_stations": ["a", "b"],
+            "destination": {"lat_deg": 53.1, "lon_deg": 4.8, "alt_amsl_m": 100.0},
+        },
+    )  # fmt: skip
+    assert shown.out.splitlines() == [
+        f"plan {sha}",
+        "  over west, east; it ends at T+ 1:02:05 of the plan",
+        "  handover 2, west to east: T+ 0:01:30",
+        "  warning: handover 2: no room to stop; plan slower",
+        "  to be accepted before T+ 0:01:05",
+        f"accept it with: skyrelay flight f accept --plan {sha}",
+    ]
+
+
+def test_a_flight_there_is_not_from_here_is_infeasible(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = {"detail": "no station covers the destination", "reason": "destination_uncovered", "gap_m": 12.0}
+
+    def call(self: object, method: str, path: str, body: Any = None) -> Any:
+        raise service_module.RefusedError(method, path, 409, problem)
+
+    monkeypatch.setattr(service_module.Service, "call", call)
+    outcome = cli("flight", "f", "replan")
+    assert (outcome.code, outcome.out) == (3, "")
+    assert "no station covers the destination" in outcome.err
+    assert "destination_uncovered" in outcome.err

@@ -9,6 +9,7 @@ import pytest
 
 from link.checks import Check, Level
 from link.failsafes import Rule, _rules_ardupilot, _rules_px4, judge_failsafes
+from link.parameters import Asking
 from link.params import Parameter
 from link.profiles import PROFILES
 
@@ -178,6 +179,40 @@ def test_a_parameter_that_is_not_told_is_a_failure_unless_firmware_without_it_is
             assert (found[name].level, found[name].set) == (rule.level, None)
             assert "not told by the vehicle" in found[name].message
             assert found[name].remedy
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_a_lost_answer_is_told_apart_from_a_parameter_the_vehicle_does_not_have(autopilot: str) -> None:
+    profile = PROFILES[autopilot]
+    every = frozenset(name for parameter in profile.parameters for name in parameter.names)
+    for rule in rules(autopilot):
+        names = profile.parameter(rule.key).names
+
+        def found(asking: Asking, names: tuple[str, ...] = names) -> Check | None:
+            checks = {c.name: c for c in judge_failsafes(profile, {}, RATE_HZ, asking)}
+            return checks.get(" or ".join(names))
+
+        # Half of the questions unanswered: one in 256 of those asked eight times is lost, and one in 60,000 of 16.
+        lossy = found(Asking(8, 0.5))
+        assert lossy is not None
+        assert lossy.level is (Level.WARNING if rule.optional or rule.level is Level.WARNING else Level.ERROR)
+        assert "no answer to 8 questions, and the link loses 50%" in lossy.message
+        assert "better the link" in lossy.remedy
+        # The vehicle's own word counts on any link.
+        for told, asking in (
+            ("not told by the vehicle (no answer to 16 questions)", Asking(16, 0.5)),
+            ("not told by the vehicle (no answer to 8 questions)", Asking(8, 0.1)),
+            ("not told by the vehicle (no answer to 8 questions)", Asking(8, None)),
+            ("the vehicle says that it has no such parameter", Asking(8, 0.5, every)),
+        ):
+            check = found(asking)
+            if rule.optional:
+                assert check is None
+            else:
+                assert check is not None
+                assert check.message.startswith(told)
+                assert check.level is rule.level
+                assert "autopilot and firmware" in check.remedy
 
 
 def test_the_time_out_must_bear_a_few_missed_ticks_of_this_stream() -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from test_link_gate import STATIONS, command, heartbeat, new_gate, timesync
 
+from link.codec import StationCodec
 from link.errors import GateClosed
-from link.gate import GateStats
+from link.gate import VEHICLE_SPEAKER, GateStats, TransmitterGate
 
 
 def test_fencing_numbers_rise_by_one_with_every_change_of_hands_a_release_included() -> None:
@@ -88,3 +89,22 @@ def test_a_message_at_the_wrong_door_is_an_error_and_not_sent_whoever_holds_cont
         gate.probe("a", heartbeat())
     assert gate.take_outgoing() == []
     assert gate.stats == GateStats()
+
+
+def test_the_vehicles_own_id_is_a_voice_of_the_station_in_control_and_of_no_other() -> None:
+    own = {s + VEHICLE_SPEAKER: StationCodec(1, 190).encode for s in STATIONS}
+    gate = TransmitterGate({s: StationCodec(n).encode for s, n in STATIONS.items()} | own)
+    fence = gate.grant("a")
+    gate.send(fence, command(), speaker="a" + VEHICLE_SPEAKER)
+    gate.send(fence, command(), speaker="a")
+    # And back again: a grant to the vehicle's own id is one to its station.
+    rescue = gate.grant("a" + VEHICLE_SPEAKER)
+    gate.send(rescue, command())
+    gate.send(rescue, command(), speaker="a")
+    spoken = [(station, frame[5]) for station, frame in gate.take_outgoing()]
+    assert spoken == [("a!", 1), ("a", 241), ("a!", 1), ("a", 241)]
+    for speaker in ("b", "b" + VEHICLE_SPEAKER):
+        with pytest.raises(GateClosed, match=f"COMMAND_LONG of {speaker} was not sent: a is in control"):
+            gate.send(rescue, command(), speaker=speaker)
+    assert gate.take_outgoing() == []
+    assert gate.stats == GateStats(control=4, blocked=2)

@@ -382,6 +382,8 @@ def test_the_old_station_allows_then_the_new_one_asks_and_is_granted() -> None:
     # Until the vehicle has taken that, control stays, and both are heard.
     assert (one.c.gate.holder, one.c.gate.incoming) == ("s1", "s2")
     assert asked(one) == ("s1", 32100, (1.0, 1.0, 10.0, float(OLD), 0.0))
+    one.c.commander.step(64.19)
+    assert one.commands() == []
     one.c.commander.step(64.21)
     assert len(one.commands()) == 1
     assert one.step(after_s=0.3) is HandoverState.REQUESTED
@@ -477,3 +479,85 @@ def test_a_second_attempt_asks_anew_from_the_beginning() -> None:
     assert one.step(after_s=0.05) is HandoverState.REQUESTED
     assert one.c.gate.holder == "s2"
     assert asked(one)[0] == "s2"
+
+
+# -- ownership by parameter -------------------------------------------------------------------------------------------
+
+
+class Keeper:
+    """Stands for the one that writes the parameters: which stations the vehicle hears, and which one is to be heard."""
+
+    def __init__(self, *, ranged: bool) -> None:
+        self.ranged = ranged
+        self.claimed: str | None = None
+        self.heard = {"s1"}
+
+    def hears(self, station: str) -> bool:
+        return station in self.heard
+
+
+def by_parameter(*, ranged: bool) -> tuple[One, Keeper]:
+    one = One(way="parameter", attempt_s=1.0)
+    keeper: Any = Keeper(ranged=ranged)
+    one.c.keeper = keeper
+    return one, keeper
+
+
+def test_where_two_can_be_heard_control_moves_once_both_are() -> None:
+    one, keeper = by_parameter(ranged=True)
+    assert one.step() is HandoverState.REQUESTED
+    assert (one.c.gate.holder, one.c.gate.incoming, keeper.claimed) == ("s1", "s2", None)
+    assert one.step(after_s=0.9) is HandoverState.REQUESTED
+    assert one.c.gate.holder == "s1"
+    keeper.heard.add("s2")
+    assert one.step(after_s=0.05) is HandoverState.REQUESTED
+    assert (one.c.gate.holder, one.c.gate.incoming) == ("s2", "s1")
+    # A repeated setpoint is no evidence here: only an answer shows whom the vehicle hears.
+    sent(one, one.c.fence.number, 10.0)
+    one.c.monitor.target, one.c.monitor.target_s = Target(10.0), one.c.now_s + 0.01
+    assert one.step(after_s=0.02) is HandoverState.REQUESTED
+    one.answer(mavlink.MAV_RESULT_ACCEPTED, 512, NEW)
+    assert one.step() is HandoverState.RELEASED
+
+
+def test_where_two_can_be_heard_and_the_new_one_never_is_the_old_one_goes_on() -> None:
+    one, _ = by_parameter(ranged=True)
+    one.step()
+    assert one.step(after_s=0.99) is HandoverState.REQUESTED
+    assert one.c.gate.holder == "s1"
+    assert one.step(after_s=0.01) is HandoverState.TIMED_OUT
+    assert (one.c.gate.holder, one.c.gate.incoming) == ("s1", None)
+
+
+def test_where_one_is_heard_alone_the_new_one_is_claimed_and_tried_after_half_of_the_attempt() -> None:
+    one, keeper = by_parameter(ranged=False)
+    assert one.step() is HandoverState.REQUESTED
+    assert (one.c.gate.holder, keeper.claimed) == ("s1", "s2")
+    one.step(after_s=0.49)
+    assert (one.c.gate.holder, keeper.claimed) == ("s1", "s2")
+    one.step(after_s=0.01)
+    # It speaks for itself now.
+    assert (one.c.gate.holder, keeper.claimed) == ("s2", None)
+
+
+def test_where_one_is_heard_alone_control_moves_with_the_answer() -> None:
+    one, keeper = by_parameter(ranged=False)
+    one.step()
+    keeper.heard = {"s2"}
+    one.step(after_s=0.05)
+    assert (one.c.gate.holder, keeper.claimed) == ("s2", None)
+    # Unanswered, the old one takes it back.
+    assert one.step(after_s=0.95) is HandoverState.TIMED_OUT
+    assert (one.c.gate.holder, keeper.claimed) == ("s1", None)
+
+
+def test_a_neighbour_of_a_dead_link_does_not_wait_for_the_dead_one_to_write() -> None:
+    one, keeper = by_parameter(ranged=False)
+    one.step(at_once="its link is silent")
+    assert (one.c.gate.holder, keeper.claimed) == ("s2", None)
+
+
+def test_a_vehicle_whose_parameters_are_not_kept_is_moved_at_once() -> None:
+    one = One(way="parameter")
+    assert one.step() is HandoverState.REQUESTED
+    assert (one.c.gate.holder, one.c.gate.incoming) == ("s2", "s1")

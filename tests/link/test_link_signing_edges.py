@@ -1,10 +1,18 @@
-"""Signing at its last stamps: a day of them is kept for ourselves."""
+"""Signing at its last stamps (a day of them is kept for ourselves), and the file they are kept in."""
 
 from __future__ import annotations
 
+import errno
+import os
+import sys
+from pathlib import Path
+
+import pytest
 from test_link_signing import NOW, Clock, make, refused, sign, stamp_of, taken
 
+from link.errors import SigningError
 from link.signing import MAX_STAMP, Verdict
+from link.signing_store import SigningStore
 
 DAY_UNITS = 8_640_000_000
 
@@ -30,3 +38,132 @@ def _heartbeat() -> object:
     from test_link_signing import HEARTBEAT
 
     return HEARTBEAT
+
+
+# -- the file ---------------------------------------------------------------------------------------------------------
+
+
+def reopened(store: SigningStore, path: Path) -> SigningStore:
+    """The store after a restart."""
+    store.close()
+    return SigningStore.open(path)
+
+
+def test_a_stamp_is_never_taken_for_a_stream_whatever_its_bits(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "folder" / "a.stamps"
+    store = SigningStore.open(path)
+    stamp = 1 << 24 | 3 << 16 | 2 << 8 | 1  # what marks the stream (3, 2, 1)
+    store.own_stamp = stamp
+    assert store.remember((9, 8, 7), stamp)
+    store = reopened(store, path)
+    assert (store.own_stamp, store.last_stamp((9, 8, 7)), store.last_stamp((3, 2, 1))) == (stamp, stamp, None)
+    store.close()
+
+
+def test_after_a_restart_each_stream_goes_on_in_its_own_place(tmp_path: Path) -> None:
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    streams = [(k, 1, 1) for k in range(3)]
+    for stream in streams:
+        store.remember(stream, 100 + stream[0])
+    for restart in range(3):
+        store = reopened(store, path)
+        assert store.remember((2, 1, 1), 200 + restart)
+        store = reopened(store, path)
+        assert [store.last_stamp(stream) for stream in streams] == [100, 101, 200 + restart]
+    # 255 streams and no more; the rest of the table is still free after all this.
+    assert [store.remember((k, 2, 1), 1) for k in range(253)] == [True] * 252 + [False]
+    store = reopened(store, path)
+    assert [store.last_stamp(stream) for stream in streams] == [100, 101, 202]
+    assert store.last_stamp((251, 2, 1)) == 1
+    store.close()
+
+
+def test_a_store_in_use_is_refused_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.own_stamp = 5
+    with pytest.raises(SigningError, match="is in use by another process; stop that one first"):
+        SigningStore.open(path)
+    store.own_stamp = 6
+    store = reopened(store, path)
+    assert store.own_stamp == 6
+    store.close()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"S" + bytes(4095),
+        bytes(4095) + b"1",
+        bytes(4097),
+        b"SKYSIGN1" + bytes(4080),
+        b"SKYSIGN1" + bytes(4096),
+        b"SKYSIGN2" + bytes(4088),
+    ],
+)
+def test_a_file_that_is_no_store_is_refused_and_left_as_it_is(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.stamps"
+    path.write_bytes(content)
+    with pytest.raises(SigningError, match="is damaged or not ours"):
+        SigningStore.open(path)
+    assert path.read_bytes() == content
+
+
+def test_a_disk_without_room_for_the_stamps_is_told_before_the_first_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.stamps"
+
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "posix_fallocate", full)
+        with pytest.raises(SigningError, match="No space left on device; give a writable place"):
+            SigningStore.open(path)
+    # Let go of, so that it can be tried again; now it is there in full before a stamp is stored.
+    store = SigningStore.open(path)
+    assert path.stat().st_size == 4096
+    assert path.read_bytes() == b"SKYSIGN1" + bytes(4088)
+    store.close()
+
+
+def test_a_new_store_is_on_the_disk_before_it_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.stamps"
+    synced: list[bytes] = []
+    monkeypatch.setattr(os, "fsync", lambda _: synced.append(path.read_bytes()))
+    store = SigningStore.open(path)
+    assert synced == [b"SKYSIGN1" + bytes(4088)]
+    store = reopened(store, path)
+    assert len(synced) == 1
+    store.close()
+
+
+def test_a_closed_store_lets_go_of_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.remember((1, 1, 1), 7)
+    assert str(path) in Path("/proc/self/maps").read_text()
+    store.close()
+    store.close()
+    assert str(path) not in Path("/proc/self/maps").read_text()
+    # What comes after is known to this process, and to nobody else.
+    assert store.remember((1, 1, 1), 8)
+    assert store.remember((2, 1, 1), 9)
+    store.own_stamp = 10
+    assert (store.own_stamp, store.last_stamp((1, 1, 1)), store.last_stamp((2, 1, 1))) == (10, 8, 9)
+    again = SigningStore.open(path)
+    assert (again.own_stamp, again.last_stamp((1, 1, 1)), again.last_stamp((2, 1, 1))) == (0, 7, None)
+    again.close()
+
+
+def test_stamps_kept_by_an_earlier_version_are_understood(tmp_path: Path) -> None:
+    """The layout of the file, word by word: a magic number, our own stamp, then marks and stamps of streams."""
+    words = [0x314E474953594B53, 1000, 0x01070201, 2000, 0x01FF0A9A, 3000]
+    path = tmp_path / "a.stamps"
+    path.write_bytes(b"".join(word.to_bytes(8, sys.byteorder) for word in words).ljust(4096, b"\0"))
+    store = SigningStore.open(path)
+    assert store.own_stamp == 1000
+    assert [store.last_stamp(stream) for stream in ((7, 2, 1), (255, 10, 154))] == [2000, 3000]
+    store.close()

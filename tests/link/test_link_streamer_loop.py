@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import runpy
 import signal
 import socket
 import sys
@@ -12,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -123,7 +125,7 @@ def quiet_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     threshold, interval_s = gc.get_threshold(), sys.getswitchinterval()
     monkeypatch.setattr(streamer_module, "FlightCore", Core)
-    monkeypatch.setattr(streamer_module, "raise_priority", lambda: "as it was")
+    monkeypatch.setattr(streamer_module, "raise_priority", lambda *_: "as it was")
     yield
     for number, handler in handlers.items():
         signal.signal(number, handler)
@@ -221,6 +223,20 @@ def test_it_serves_ticks_when_due_sends_each_frame_over_its_link_and_then_tells(
     # Everything is let go of: the links can be flown again.
     again = Streamer(bench.request, bench.run_dir)
     again.close()
+
+
+def test_the_first_tick_is_not_waited_for(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+    select = streamer_module.select.select
+
+    def noted(*arguments: Any) -> Any:
+        waits.append(arguments[3])
+        return select(*arguments)
+
+    bench.core.last = 1
+    monkeypatch.setattr(streamer_module.select, "select", noted)
+    bench.streamer.run()
+    assert waits == [0.0]
 
 
 def test_the_process_is_prepared_for_punctuality(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -341,6 +357,10 @@ def test_it_waits_for_the_deadline_and_never_longer_than_the_upkeep_of_the_links
     monkeypatch.setattr(down, "fileno", lambda: -1)
     one._wait()
     assert asked[-1] == [*links[1:], *one.control.filenos()]
+    # A process started without a standard input has a link in its place.
+    monkeypatch.setattr(down, "fileno", lambda: 0)
+    one._wait()
+    assert asked[-1] == [0, *links[1:], *one.control.filenos()]
     monkeypatch.undo()
     one.close()
 
@@ -497,8 +517,81 @@ def test_a_client_that_does_not_read_holds_the_end_up_for_half_a_second_at_most(
     finally:
         streamer_module.select.select = select
     assert time.monotonic() - began >= 0.5
-    assert waits.count(0.05) >= 2
+    # Each of these lasts its 50 ms, so that there is room for ten and the one begun last.
+    assert 2 <= waits.count(0.05) <= 11
     client.close()
+
+
+class Planned(Core):
+    """A flight that judges new plans: by what their files say of themselves."""
+
+    def make_ready(self, document: dict[str, Any]) -> Any:
+        if "refusal" in document:
+            raise TransitionError(document["refusal"])
+        if "fault" in document:
+            raise ZeroDivisionError(document["fault"])
+        if "slow" in document:
+            # The flight goes on meanwhile.
+            count = len(self.ticks)
+            wait_for(lambda: len(self.ticks) > count + 2)
+            (self.judging,) = [t for t in threading.enumerate() if t is threading.current_thread()]
+        return SimpleNamespace(plan=SimpleNamespace(plan_sha256=document["plan_sha256"]))
+
+    def command(self, word: Word, **fields: Any) -> None:
+        if fields.get("by") == "nobody":
+            raise TransitionError("who says so?")
+        super().command(word, **fields)
+
+
+def test_a_new_plan_is_judged_beside_the_flight_and_taken_over_by_it(
+    tmp_path: Path, quiet_process: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streamer_module, "FlightCore", Planned)
+    bench = Bench(tmp_path)
+    bench.core.last = 10_000
+    names = {what: f"{number}{number}" * 32 for number, what in enumerate(("good", "other", "late", "wild", "gone"))}
+    contents: dict[str, dict[str, Any]] = {
+        "good": {"slow": 1},
+        "other": {"plan_sha256": "ff"},
+        "late": {"refusal": "too late"},
+        "wild": {"fault": "x"},
+    }
+    for what, content in contents.items():
+        (tmp_path / f"plan-{names[what]}.json").write_text(json.dumps({"plan_sha256": names[what]} | content))
+    asked: list[dict[str, Any]] = [
+        {"new_plan_sha256": names["good"], "by": "pilot", "join_s": 30.0, "leave_s": 28.0, "reason": None},
+        {"new_plan_sha256": names["good"], "by": "nobody"},
+        *({"new_plan_sha256": names[what]} for what in ("other", "late", "wild", "gone")),
+        {"new_plan_sha256": "../" + names["good"]},
+        {},
+    ]
+    client = bench.client()
+    replies: dict[int, dict[str, Any]] = {}
+
+    def ask() -> None:
+        lines = Lines(client)
+        for number, line in enumerate(asked):
+            client.sendall(json.dumps({"id": number, "word": "replan"} | line).encode() + b"\n")
+            answer = lines.next()
+            replies[answer["reply"]] = answer
+        bench.core.state, bench.core.last = FlightState.CONTINGENCY, 0
+
+    other = threading.Thread(target=ask)
+    other.start()
+    bench.streamer.run()
+    other.join()
+    client.close()
+    bench.close()
+    assert replies[0] == {"reply": 0, "ok": True}
+    assert bench.core.judging.daemon  # type: ignore[attr-defined] # no plan, however long, keeps the process
+    ((word, fields),) = bench.core.words
+    assert (word, fields.pop("upcoming").plan.plan_sha256) == (Word.REPLAN, names["good"])
+    assert fields == {"by": "pilot", "join_s": 30.0, "leave_s": 28.0}
+    errors = [replies[k]["error"] for k in range(1, len(asked))]
+    assert errors[:3] == ["who says so?", "the file holds another plan (ff)", "too late"]
+    assert errors[3] == "the plan cannot be judged: ZeroDivisionError('x')"
+    assert "No such file" in errors[4]
+    assert all("the hash of a plan in the run folder" in error for error in errors[5:])
 
 
 # -- faults -----------------------------------------------------------------------------------------------------------
@@ -542,6 +635,15 @@ def test_a_flight_from_its_folder_ends_with_the_flights_own_code(
     bench.close()
 
 
+def test_it_is_a_program_whose_argument_is_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["link.streamer", str(tmp_path)])
+    monkeypatch.delitem(sys.modules, "link.streamer")
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("link.streamer", run_name="__main__")
+    assert ended.value.code == EXIT_REFUSED_REQUEST
+    assert "No such file" in json.loads((tmp_path / "refusal.json").read_text())["error"]
+
+
 @pytest.mark.parametrize("content", [None, "not json", '{"autopilot": "px4"}'])
 def test_a_folder_that_cannot_be_flown_from_is_refused_in_writing(content: str | None, tmp_path: Path) -> None:
     if content is not None:
@@ -558,8 +660,9 @@ def test_links_of_a_refused_flight_are_closed_again(tmp_path: Path) -> None:
     stations = list(dict.fromkeys(relay_plan(2).station_ids))
     links = dict(zip(stations, [f"udpin:127.0.0.1:{port}", "udpout:no-such-host.invalid:1"], strict=True))
     request = FlightRequest(plan=relay_plan(2).to_document(), autopilot="px4", links=links)
-    with pytest.raises(EndpointError):
+    with pytest.raises(EndpointError) as refusal:
         open_links(request)
+    assert refusal.tb  # what the refusal still knows of keeps no link open
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", port))  # free again
 
@@ -627,6 +730,23 @@ def test_real_time_where_permitted_a_better_nice_value_else_and_otherwise_as_it_
     assert raise_priority() == "ordinary"
 
 
+def test_who_writes_the_logs_is_as_urgent_as_the_flight_or_would_hold_it_up(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda pid, policy, param: asked.append((threading.get_ident(), param.sched_priority))
+    )
+    Recorder(tmp_path, None, 0.0).close()
+    assert [priority for _, priority in asked] == [9]
+    assert asked[0][0] != threading.get_ident()
+
+
+def open_files() -> list[str]:
+    """What the descriptors of this process stand for."""
+    return [os.readlink(one) for one in Path("/proc/self/fd").iterdir() if one.is_symlink()]
+
+
 def test_frames_and_events_are_written_in_order_with_the_time_in_utc(tmp_path: Path) -> None:
     from link.codec import StationCodec
     from link.dialect import mavlink
@@ -640,6 +760,7 @@ def test_frames_and_events_are_written_in_order_with_the_time_in_utc(tmp_path: P
     recorder.frame(2.25, frame)
     recorder.close()
     assert recorder.dropped == 0
+    assert not [name for name in open_files() if name.startswith(str(tmp_path))]
     entries = list(read_tlog(tmp_path / "flight.tlog"))
     assert len(entries) == 2
     lines = (tmp_path / "events.jsonl").read_bytes().splitlines()
@@ -659,3 +780,11 @@ def test_without_a_log_only_events_are_kept_and_what_cannot_be_written_is_counte
     recorder.close()
     assert recorder.dropped == 2
     assert [p.name for p in tmp_path.iterdir()] == ["events.jsonl"]
+
+
+def test_a_log_on_a_full_disk_costs_its_frames_and_no_event(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, "/dev/full", 0.0)
+    recorder.frame(1.0, b"frame")
+    recorder.event(FlightEvent(1, EventKind.ALARM, 2.0, None, "2026-11-22T09:00:00Z", FlightState.CRUISE, {}))
+    recorder.close()
+    assert len((tmp_path / "events.jsonl").read_bytes().splitlines()) == 1

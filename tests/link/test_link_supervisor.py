@@ -195,6 +195,12 @@ def test_a_killed_parent_does_not_disturb_the_flight(autopilot: str, tmp_path: P
     assert killed["state"] in ("takeoff", "transit", "cruise")
     from link.report import report_flight
 
-    report = report_flight(tmp_path / "flight.tlog", plan)
+    report = report_flight(tmp_path / "flight.tlog", plan, run / "events.jsonl")
     assert report.reached
     assert [h.index for h in report.handovers] == [1, 2]
+    assert report.lateness_from == "streamer"
+    assert {link.station for link in report.links} == set(plan.station_ids)
+    for link in report.links:
+        assert link.loss == 0.0
+        assert link.probes > 10
+        assert link.failovers == 0

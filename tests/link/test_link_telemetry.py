@@ -10,6 +10,7 @@ import pytest
 from link.codec import StationCodec
 from link.dialect import mavlink
 from link.telemetry import EchoTracker, Sent, VehicleMonitor
+from link.watch import STRANGE_M
 
 
 class Bench:
@@ -162,3 +163,17 @@ def test_ardupilots_target_runs_on_so_its_acceleration_must_tell() -> None:
     # Straight and steady: every setpoint looks alike, so none is named.
     echoes.note(sent(0.10, 1.5, "b", 2, accel=0.0))
     assert echoes.held(target(1.5, accel=0.0)) == ()
+
+
+def test_a_target_that_ran_on_for_seconds_proves_nothing_and_is_no_strangers() -> None:
+    """Our setpoints are lost from 0 s on; the vehicle goes on at 15 m/s while we brake at 1.4 m/s^2."""
+    echoes = EchoTracker(runs_on=True)
+    echoes.note(sent(0.0, 0.0, "a", 1, accel=0.5))
+    for k in range(1, 57):
+        t = 0.05 * k
+        echoes.note(sent(t, 15.0 * t - 0.7 * t * t, "a", 1, accel=-1.4, speed=15.0 - 1.4 * t))
+        ran_on = target(15.0 * t, accel=0.5)
+        # The one it holds, while that is fresh; never one that was lost.
+        assert [s.sent_s for s in echoes.held(ran_on)] == ([0.0] if t <= 0.5 else [])
+        assert echoes.distance_m(ran_on) <= STRANGE_M
+    assert echoes.distance_m(target(15.0 * 2.8 + 20.0)) > STRANGE_M

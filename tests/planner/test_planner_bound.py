@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planner_missions import make_problem, paper_problem
 
+import planner.bound as bound_module
 from planner import Limits, Problem
 from planner.bound import fastest_time_s, lower_bound
 from planner.navmesh import NavigationMesh
@@ -258,6 +259,46 @@ def test_stations_out_of_reach_are_left_out() -> None:
 
 
 BEST_KNOWN_S = {"M30_01": 181.16, "M30_05": 149.87, "M100_08": 436.39, "M300_01": 385.80, "M300_10": 869.66}
+
+
+@given(st.integers(0, 10_000), st.floats(0.4, 1.0))
+def test_what_a_large_map_leaves_out_does_not_matter(seed: int, spread: float) -> None:
+    """Stations out of reach, and ways no shorter than others: the same length with all of them searched.
+
+    Dense and sparse maps, some with a hole in the middle, ends anywhere: straight ways, detours, and none at all.
+    """
+    rng = np.random.default_rng(seed)
+    centres = rng.uniform(0, 10_000.0, (90, 2))
+    if seed % 2:
+        centres = centres[np.linalg.norm(centres - 5_000.0, axis=1) > 3_000.0]
+    stations = np.column_stack([centres, np.full(len(centres), 100.0), rng.uniform(600, 1600, len(centres)) * spread])
+    ends = [[*centres[k], 100.0] for k in rng.integers(0, len(centres), 2)]
+    problem = make_problem(ends[0], ends[1], stations)
+    whole = NavigationMesh(problem.station_positions_m[:, :2], problem.ranges_m)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bound_module, "CROWD", 0)
+        bound = lower_bound(problem)
+        patch.setattr("planner.navmesh._Search._beaten", lambda *_: False)
+        expected = whole.shortest_path(tuple(problem.start_m[:2]), tuple(problem.destination_m[:2]))
+    assert bound.exact == (expected is not None)
+    if expected is not None:
+        assert bound.length_m == pytest.approx(expected.length_m, rel=1e-8)
+        assert bound.path_m is not None
+        steps = np.linalg.norm(np.diff(bound.path_m, axis=0), axis=1)
+        assert steps.sum() == pytest.approx(expected.length_m, rel=1e-8)
+
+
+def test_a_detour_longer_than_guessed_is_found() -> None:
+    """A horseshoe: the ends 2 km apart, the way round seven times that; what is near the straight line does not do."""
+    angles = np.linspace(0.1, 2 * np.pi - 0.1, 40)
+    stations = np.column_stack([3000 * np.cos(angles), 3000 * np.sin(angles), np.full(40, 100.0), np.full(40, 290.0)])
+    problem = make_problem([*stations[0, :2], 100], [*stations[-1, :2], 100], stations)
+    whole = lower_bound(problem)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bound_module, "CROWD", 0)
+        assert lower_bound(problem).length_m == pytest.approx(whole.length_m, rel=1e-9)
+    assert whole.exact
+    assert 2 * np.pi * 2600 < whole.length_m < 2 * np.pi * 3000
 
 
 @pytest.mark.parametrize("name", sorted(BEST_KNOWN_S))

@@ -19,9 +19,8 @@ from planner.paper.enumeration import (
     Evaluation,
     enumerate_plans,
     plan_by_enumeration,
-    sequence_bound_s,
-    shortest_from_rest_s,
 )
+from planner.paper.sequence_bound import sequence_bound_s, shortest_from_rest_s
 from planner.paper.station_graph import shortest_sequence
 
 
@@ -106,7 +105,7 @@ def test_the_bound_holds_for_the_papers_problem_and_not_only_for_the_papers_meth
 )
 def test_a_piece_from_rest_takes_its_time(length_m: float, duration_s: float) -> None:
     problem = make_problem([0, 0, 100], [1000, 0, 100], [[0, 0, 100, 5000]])
-    assert shortest_from_rest_s(problem, length_m) == pytest.approx(duration_s, abs=1e-9)
+    assert float(shortest_from_rest_s(problem, np.array(length_m))) == pytest.approx(duration_s, abs=1e-9)
 
 
 def test_the_enumeration_goes_on_where_it_was_left(ladder: Problem) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planner_missions import make_problem, paper_problem
 
-from planner import InfeasibleError, Problem, build_corridor
+from planner import InfeasibleError, Problem, build_corridor, routing
 from planner.bound import lower_bound
 from planner.lens import diagnose
 from planner.paper.waypoints import polyline_length_m, shortest_polyline
@@ -204,6 +204,17 @@ def test_ten_thousand_stations(overlap_s: float) -> None:
         assert polyline_length_m(straight) <= bound.length_m * (1.0 + 1e-3)
     else:
         assert route.estimate_s >= bound.time_s - 10.0
+
+
+@pytest.mark.slow
+def test_chords_off_any_good_route_do_without_portals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which changes no more than the last digits of what the best route is expected to take."""
+    problem = random_problem(7, 3_000, 68_000.0, min_overlap_s=5.0)
+    routes = candidate_routes(problem, 3)
+    monkeypatch.setattr(routing, "_pairs_worth_all_portals", lambda _, pairs: pairs)
+    expected = candidate_routes(problem, 3)
+    assert [route.estimate_s for route in routes] == pytest.approx([r.estimate_s for r in expected], rel=1e-3)
+    assert all(is_chain(problem, route.sequence) for route in routes)
 
 
 @pytest.mark.soak
