@@ -328,6 +328,10 @@ def on_the_wall_clock(kind: str, autopilot: str, folder: Path) -> None:
             first = (plan.handovers[0].from_station, plan.handovers[0].to_station)
             if kind == "station":
                 assert released == [first, first[::-1]]
+            if kind == "bad links":
+                # By the flight's own account, which knows how old a position is when it is heard.
+                assert 0.0 < float(str(ended.summary["tracking_rms_m"])) < 3.0
+                print(f"{autopilot}: {ended.summary['tracking_rms_m']} m rms, links {ended.summary['links']}")
             if kind == "streamer":
                 expected = {"px4": "HOLD", "ardupilot": "RTL"}[autopilot]
                 assert mode_seen(next(iter(vehicle.links.values())), autopilot, expected) == expected
@@ -340,8 +344,8 @@ def on_the_wall_clock(kind: str, autopilot: str, folder: Path) -> None:
         assert [(h.from_station, h.to_station) for h in report.handovers] == [
             (h.from_station, h.to_station) for h in plan.handovers
         ]
-        assert report.tracking_rms_m is not None
-        assert report.tracking_rms_m < 3.0
+        assert report.off_path_worst_m is not None
+        assert report.off_path_worst_m < 3.0
 
 
 @pytest.mark.soak
