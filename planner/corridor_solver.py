@@ -7,6 +7,7 @@ the certificate holds at zero tolerance in spite of rounding.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,17 +109,15 @@ def solve_corridor(
 
 def _starts(
     problem: Problem, program: ShootingProblem, scale: Scale, waypoints_m: Array, trajectory: Trajectory | None
-) -> list[Start]:
+) -> Iterator[Start]:
     """Where to start from, in this order; the more trusted a start is, the closer to the constraints it may begin."""
-    starts = []
     if trajectory is not None:
-        starts.append(Start(*guess_from(program, scale, trajectory), barrier=1e-3, slack=1e-3))
+        yield Start(*guess_from(program, scale, trajectory), barrier=1e-3, slack=1e-3)
     at_speed = first_guess(problem, program, scale, waypoints_m)
+    yield Start(*at_speed, barrier=3e-3, slack=0.1)
+    yield Start(*at_speed, barrier=0.01, slack=1e-2, rule=CAREFUL)
     at_rest = first_guess(problem, program, scale, waypoints_m, at_rest=True)
-    starts.append(Start(*at_speed, barrier=3e-3, slack=0.1))
-    starts.append(Start(*at_speed, barrier=0.01, slack=1e-2, rule=CAREFUL))
-    starts.append(Start(*at_rest, barrier=0.2, slack=1e-2, rule=CAREFUL))
-    return starts
+    yield Start(*at_rest, barrier=0.2, slack=1e-2, rule=CAREFUL)
 
 
 def _as_start(corridor: Corridor, trajectory: Trajectory) -> Trajectory:

@@ -69,7 +69,7 @@ class BarrierRule(NamedTuple):
 
 # On missions of the paper's kind `BRISK` takes a third fewer steps to the same plans; on hostile ones (ranges and
 # limits a thousandfold apart) it goes astray now and then, and `CAREFUL` does not.
-BRISK, CAREFUL = BarrierRule(100.0, 1.8, 1e-2), BarrierRule(10.0, 1.5, 1e-3)
+BRISK, CAREFUL = BarrierRule(100.0, 1.8, 2e-2), BarrierRule(10.0, 1.5, 1e-3)
 
 
 class Start(NamedTuple):
@@ -197,7 +197,7 @@ class _InteriorPoint:
 
     def _factorise(self, band: Array) -> Array:
         """Banded Cholesky of ``band`` plus as much of the identity as makes it positive definite."""
-        shift = 0.0 if self.regularisation < 1e-2 else self.regularisation / 4.0
+        shift = 0.0 if self.regularisation < 1e-2 else self.regularisation / 3.0
         diagonal = band[0].copy()
         while True:
             band[0] = diagonal + shift
@@ -205,7 +205,7 @@ class _InteriorPoint:
             if info == 0:
                 self.regularisation = shift
                 return np.asarray(factor)
-            shift = max(8.0 * shift, 1e-3)
+            shift = max(6.0 * shift, 1e-2)
             if not np.isfinite(diagonal).all() or shift > 1e40:
                 raise FloatingPointError("the reduced Hessian is not finite")
 

@@ -50,7 +50,7 @@ class Strategy:
 
 
 STRATEGIES = {
-    "joint": Strategy(Effort(3, 5, 24), compared=3, suspicious=1.02),
+    "joint": Strategy(Effort(4, 6, 24, tolerance=3e-4), compared=3, suspicious=1.02),
     "fast": Strategy(Effort(2, 4, tolerance=1e-3), compared=2, suspicious=1.05),
 }
 
