@@ -76,9 +76,9 @@ def test_pruning_changes_the_work_and_not_the_answer(ladder: Problem) -> None:
 def test_little_memory_changes_the_order_and_not_the_answer(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the frontier is full branches are walked depth first: the same best plan, nothing planned twice."""
     problem = paper_problem("M30_04")
-    expected = plan_by_enumeration(problem, delta_t_s=20.0)
+    expected = plan_by_enumeration(problem)
     monkeypatch.setattr("planner.paper.enumeration.MAX_FRONTIER", kept)
-    steps = list(enumerate_plans(problem, delta_t_s=20.0))
+    steps = list(enumerate_plans(problem))
     best = steps[-1].best
     assert best is not None
     assert best.trajectory.sequence == expected.trajectory.sequence
@@ -89,7 +89,7 @@ def test_little_memory_changes_the_order_and_not_the_answer(kept: int, monkeypat
 
 def test_a_time_limit_is_kept_between_plans_too() -> None:
     """The clock is asked at every sequence begun or passed over, not only at those planned."""
-    steps = list(enumerate_plans(paper_problem("M30_04"), delta_t_s=20.0))
+    steps = list(enumerate_plans(paper_problem("M30_04")))
     begun = [b for a, b in pairwise(steps) if (a.planned, a.pruned) == (b.planned, b.pruned)]
     assert begun
     assert len(steps) == steps[-1].planned + steps[-1].pruned + len(begun)
