@@ -72,6 +72,29 @@ def test_pruning_changes_the_work_and_not_the_answer(ladder: Problem) -> None:
     assert certify(ladder, pruned.trajectory).feasible
 
 
+@pytest.mark.parametrize("kept", [0, 3])
+def test_little_memory_changes_the_order_and_not_the_answer(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the frontier is full branches are walked depth first: the same best plan, nothing planned twice."""
+    problem = paper_problem("M30_04")
+    expected = plan_by_enumeration(problem)
+    monkeypatch.setattr("planner.paper.enumeration.MAX_FRONTIER", kept)
+    steps = list(enumerate_plans(problem))
+    best = steps[-1].best
+    assert best is not None
+    assert best.trajectory.sequence == expected.trajectory.sequence
+    assert best.trajectory.duration_s == expected.trajectory.duration_s
+    planned = [after.sequence for before, after in pairwise(steps) if after.planned > before.planned]
+    assert len(planned) == len(set(planned)) == steps[-1].planned - 1
+
+
+def test_a_time_limit_is_kept_between_plans_too() -> None:
+    """The clock is asked at every sequence begun or passed over, not only at those planned."""
+    steps = list(enumerate_plans(paper_problem("M30_04")))
+    begun = [b for a, b in pairwise(steps) if (a.planned, a.pruned) == (b.planned, b.pruned)]
+    assert begun
+    assert len(steps) == steps[-1].planned + steps[-1].pruned + len(begun)
+
+
 @pytest.mark.parametrize("name", ["M30_01", "M30_08"])
 def test_a_bound_grows_along_its_sequence(name: str) -> None:
     """What is pruned with a partial sequence could not have been better: the bound never falls as it grows."""
