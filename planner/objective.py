@@ -4,8 +4,8 @@
 
 *Evenness.* A curve cut into pieces may be cut anywhere: where no limit binds, moving a joint along the curve changes
 nothing, and a Newton method wanders along such directions for dozens of steps. The last term holds neighbouring
-durations in the proportions of the first guess (``pace``). Its weight falls with the barrier's parameter, down to a
-floor at which it costs less than 0.1 % of the time.
+durations in the proportions of the first guess (``pace``), and at the last barrier's parameter of what was found by
+then, so that it costs next to nothing. Its weight falls with the barrier's parameter, down to a floor.
 
 *Energy.* The integral of |a|^2 / a_max^2 + |v|^3 / v_max^3: what manoeuvring and drag add to the power a vehicle needs
 to stay aloft, which sum T stands for. Gauss quadrature with four nodes a piece, exact for the first term.

@@ -76,7 +76,7 @@ class Planner:
         """The fastest trajectory found, or the cheapest for an ``energy_weight``; certified at zero tolerance.
 
         ``method``: ``"joint"`` (within about half a per cent of the bound where handovers cost nothing), ``"fast"``
-        (about one per cent, in a third of the time), ``"paper"`` (Qi, Dou and Xin 2023). After ``time_limit_s`` no
+        (a little more, in three quarters of the time), ``"paper"`` (Qi, Dou and Xin 2023). After ``time_limit_s`` no
         further sequence is begun; the first is always finished. ``energy_weight`` w > 0 asks for the least time plus w
         times the energy of `planner.energy` instead of the least time; ``lower_bound_s`` stays that of the time.
 
