@@ -225,7 +225,7 @@ def test_two_hundred_unhealthy_streamers_beat_no_more(autopilot: str) -> None:
     assert sum(found) == 0
 
 
-# -- 6: the service is killed -----------------------------------------------------------------------------------------
+# -- 6: its clients are killed -----------------------------------------------------------------------------------------
 
 
 def kill_clients(run_dir: Path, count: int, draw: random.Random) -> None:
@@ -250,7 +250,7 @@ def kill_clients(run_dir: Path, count: int, draw: random.Random) -> None:
 
 
 @pytest.mark.soak
-def test_two_hundred_killed_services_cost_no_tick(tmp_path: Path) -> None:
+def test_two_hundred_killed_clients_cost_no_tick(tmp_path: Path) -> None:
     """Real processes, real time; the flight's own count of missed ticks, before and after."""
     plan = relay_plan(3)
     with simulator(plan, "px4", 1.0) as vehicle:
