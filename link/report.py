@@ -4,8 +4,10 @@ Everything is measured from the frames: setpoints from those of the plan's stati
 control), positions from the vehicle's GLOBAL_POSITION_INT. The flight's events, where they are given too, add what a
 log cannot tell (`link.report_links`). What is meant by the figures:
 
-- *tracking error*: distance (3-D) between where the vehicle said it was and what was asked of it at that moment, on the
-  vehicle's clock, which is laid on the log's by the fastest message heard; *along* the path or *beside* it.
+- *tracking error*: distance (3-D) between where the vehicle said it was and what was asked of it at that moment,
+  *along* the path or *beside* it. The vehicle's clock is laid on the log's by the fastest message heard, less what that
+  took, and a setpoint asks from when it arrived. Frames take half of a probe's round trip: the shortest of all for the
+  fastest message, the station's median for its setpoints.
 - *off the path*: distance to the nearest point of the planned path, whatever the time.
 - *T+0*: found from the setpoints themselves, which lie on the path: the median of (time sent - time of the plan).
 - *margin*: range left to the station in control, by its full range, at the positions flown.
@@ -18,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -153,7 +155,10 @@ def report_flight(log: str | Path, plan: Plan, events: str | Path | None = None)
     sent, place, plan_s = sent.only(keep), place[keep], plan_s[keep]
     reached = float(np.linalg.norm(place[-1] - plan.trajectory.evaluate(plan.mission_time_s))) < 0.1
     end_s = float(sent.time_s[-1])
-    errors = _errors(heard, sent, place, plan, launched_s, end_s)
+    heard = replace(heard, time_s=heard.time_s - probes.least_latency_s)
+    way_s = {int(i): probes.latency_s(int(i)) for i in np.unique(sent.system_id)}
+    arrived_s = sent.time_s + np.array([way_s[int(i)] for i in sent.system_id])
+    errors = _errors(heard, sent, arrived_s, place, plan, (launched_s, end_s))
     gaps = np.diff(sent.time_s)
     counted = None if history is None else history.lateness
     lateness = _lateness(sent.time_s) if counted is None else counted
@@ -332,15 +337,19 @@ def _last_moving(flown: NDArray[np.bool_], place: Array, velocity_m_s: Array, pl
     return int(arrived[0]) if len(arrived) else int(np.flatnonzero(flown)[-1])
 
 
-def _errors(heard: _Heard, sent: _Sent, place: Array, plan: Plan, from_s: float, to_s: float) -> _Errors:
-    inside = (heard.time_s >= max(from_s, float(sent.time_s[0]))) & (heard.time_s <= to_s)
+def _errors(
+    heard: _Heard, sent: _Sent, arrived_s: Array, place: Array, plan: Plan, span_s: tuple[float, float]
+) -> _Errors:
+    inside = (heard.time_s >= max(span_s[0], float(arrived_s[0]))) & (heard.time_s <= span_s[1])
     time_s = heard.time_s[inside]
     here = _to_plane(plan, heard.lat_deg[inside], heard.lon_deg[inside], heard.alt_amsl_m[inside])
-    at = np.clip(np.searchsorted(sent.time_s, time_s, side="right") - 1, 0, len(sent.time_s) - 1)
-    carry = np.clip(time_s - sent.time_s[at], 0.0, 1.0)
+    # At a handover from a slow link to a quick one the new station's first setpoints overtake the old one's last.
+    arrived_s = np.maximum.accumulate(arrived_s)
+    at = np.clip(np.searchsorted(arrived_s, time_s, side="right") - 1, 0, len(arrived_s) - 1)
+    carry = np.clip(time_s - arrived_s[at], 0.0, 1.0)
     # Between setpoints the reference moves on: to the next one where there is one soon.
-    after = np.minimum(at + 1, len(sent.time_s) - 1)
-    step = sent.time_s[after] - sent.time_s[at]
+    after = np.minimum(at + 1, len(arrived_s) - 1)
+    step = arrived_s[after] - arrived_s[at]
     share = np.where((step > 0) & (step < 0.5), carry / np.maximum(step, 1e-9), 0.0)[:, None]
     asked = place[at] + share * (place[after] - place[at])
     off = here - asked

@@ -346,6 +346,8 @@ def on_the_wall_clock(kind: str, autopilot: str, folder: Path) -> None:
         ]
         assert report.off_path_worst_m is not None
         assert report.off_path_worst_m < 3.0
+        assert report.tracking_rms_m is not None
+        assert report.tracking_rms_m < 3.0
 
 
 @pytest.mark.soak

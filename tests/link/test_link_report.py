@@ -124,3 +124,34 @@ def test_a_file_that_holds_no_events_is_told_with_its_line(line: bytes, tmp_path
         History.read(events, PLAN)
     with pytest.raises(ReportError, match="No such file"):
         History.read(tmp_path / "none", PLAN)
+
+
+@pytest.mark.parametrize("way_s", [0.0, 0.05, 0.2])
+def test_what_frames_take_is_no_error_of_the_vehicle(tmp_path: Path, way_s: float) -> None:
+    """A vehicle that is where the newest setpoint it has asks it to be, on links that take ``way_s`` each way."""
+    codecs, vehicle = {s: StationCodec(number) for s, number in IDS.items()}, StationCodec(1, 1)
+    records: list[tuple[float, bytes]] = []
+    for setpoint in list(SetpointStream(PLAN, 20.0))[:-1]:
+        lat, lon = round(setpoint.lat_deg * 1e7), round(setpoint.lon_deg * 1e7)
+        message = mavlink.MAVLink_set_position_target_global_int_message(
+            0, 1, 1, 5, 0, lat, lon, setpoint.alt_amsl_m, *setpoint.velocity_ned_m_s, 0.0, 0.0, 0.0, 0.0, 0.0
+        )
+        records.append((setpoint.time_s, codecs[setpoint.station_id].encode(message)))
+        there_s = setpoint.time_s + way_s
+        place = mavlink.MAVLink_global_position_int_message(
+            round(5e3 + there_s * 1e3), lat, lon, round(setpoint.alt_amsl_m * 1e3), 0, 0, 0, 0, 0
+        )
+        records.append((there_s + way_s, vehicle.encode(place)))
+    for number, station in enumerate(("s1", "s2"), 1):
+        records.append((float(number), codecs[station].encode(mavlink.MAVLink_timesync_message(0, number))))
+        records.append((number + 2.0 * way_s, vehicle.encode(mavlink.MAVLink_timesync_message(77, number))))
+    path = tmp_path / "flight.tlog"
+    with TlogWriter(path) as log:
+        for time_s, frame in sorted(records, key=lambda record: record[0]):
+            log.write(frame, START_US + round(time_s * 1e6))
+    report = report_flight(path, PLAN)
+    assert report.tracking_rms_m is not None
+    # A millisecond of the vehicle's clock at 15 m/s, and a figure in the seventh decimal of a degree.
+    assert report.tracking_rms_m < 0.05
+    assert report.tracking_worst_m is not None
+    assert report.tracking_worst_m < 0.2
