@@ -115,6 +115,7 @@ def _starts(
         yield Start(*guess_from(program, scale, trajectory), barrier=1e-3, slack=1e-3)
     at_speed = first_guess(problem, program, scale, waypoints_m)
     yield Start(*at_speed, barrier=3e-3, slack=0.1)
+    yield Start(*at_speed, barrier=0.01, slack=1e-2)
     yield Start(*at_speed, barrier=0.01, slack=1e-2, rule=CAREFUL)
     at_rest = first_guess(problem, program, scale, waypoints_m, at_rest=True)
     yield Start(*at_rest, barrier=0.2, slack=1e-2, rule=CAREFUL)

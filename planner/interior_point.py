@@ -197,7 +197,7 @@ class _InteriorPoint:
 
     def _factorise(self, band: Array) -> Array:
         """Banded Cholesky of ``band`` plus as much of the identity as makes it positive definite."""
-        shift = 0.0 if self.regularisation < 1e-2 else self.regularisation / 3.0
+        shift = 0.0 if self.regularisation < 1e-2 else self.regularisation / 4.0
         diagonal = band[0].copy()
         while True:
             band[0] = diagonal + shift
@@ -205,7 +205,7 @@ class _InteriorPoint:
             if info == 0:
                 self.regularisation = shift
                 return np.asarray(factor)
-            shift = max(6.0 * shift, 1e-2)
+            shift = max(8.0 * shift, 1e-3)
             if not np.isfinite(diagonal).all() or shift > 1e40:
                 raise FloatingPointError("the reduced Hessian is not finite")
 
