@@ -139,7 +139,8 @@ def report_flight(log: str | Path, plan: Plan, events: str | Path | None = None)
     read.
     """
     history = None if events is None else History.read(events, plan)
-    probes = ProbeCount(_station_names(plan))
+    names = _station_names(plan)
+    probes = ProbeCount(names)
     sent, heard, profile, log_end_s = _collect(read_tlog(log), plan, probes)
     if len(sent.time_s) < 2:
         raise ReportError(f"{log} holds no setpoints of the plan's stations ({', '.join(plan.station_ids)})")
@@ -156,13 +157,13 @@ def report_flight(log: str | Path, plan: Plan, events: str | Path | None = None)
     reached = float(np.linalg.norm(place[-1] - plan.trajectory.evaluate(plan.mission_time_s))) < 0.1
     end_s = float(sent.time_s[-1])
     heard = replace(heard, time_s=heard.time_s - probes.least_latency_s)
-    way_s = {int(i): probes.latency_s(int(i)) for i in np.unique(sent.system_id)}
-    arrived_s = sent.time_s + np.array([way_s[int(i)] for i in sent.system_id])
+    links = probes.links(log_end_s, None if history is None else history.failovers)
+    way_s = {link.station: 1e-3 * (link.latency_ms or 0.0) for link in links}
+    arrived_s = sent.time_s + np.array([way_s[names[int(i)]] for i in sent.system_id])
     errors = _errors(heard, sent, arrived_s, place, plan, (launched_s, end_s))
     gaps = np.diff(sent.time_s)
     counted = None if history is None else history.lateness
     lateness = _lateness(sent.time_s) if counted is None else counted
-    names = _station_names(plan)
     margin, margin_station = _margin(heard, sent, plan, launched_s, end_s)
     off_path = path.nearest(errors.place)[1] if len(errors.time_s) else np.array([])
     flown_s = end_s - launched_s
@@ -188,7 +189,7 @@ def report_flight(log: str | Path, plan: Plan, events: str | Path | None = None)
         lateness_worst_ms=lateness["worst_ms"],
         lateness_from="log" if counted is None else "streamer",
         skipped_ticks=None if counted is None else int(counted["skipped_ticks"]),
-        links=probes.links(log_end_s, None if history is None else history.failovers),
+        links=links,
         handovers=_handovers(sent, errors, plan, launched_s),
         reached=reached,
     )

@@ -77,12 +77,6 @@ class ProbeCount:
         """Half of the shortest round trip: what every frame takes at least. 0 where nothing was answered."""
         return 0.5 * min(self._trips.values(), default=0.0)
 
-    def latency_s(self, system_id: int) -> float:
-        """Half of a station's median round trip. 0 where nothing was answered."""
-        station = self._stations.get(system_id)
-        trips = [trip_s for nonce, trip_s in self._trips.items() if self._sent[nonce][0] == station]
-        return 0.5 * float(np.median(trips)) if trips else 0.0
-
     def links(self, end_s: float, failovers: Mapping[str, int] | None) -> tuple[LinkReport, ...]:
         """The figures at the log's end; probes on their way then are not counted."""
         return tuple(

@@ -9,6 +9,7 @@ The bound holds for antennas at any height; it is tight for antennas below the b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
 
@@ -226,18 +227,32 @@ def _centre_path_m(start: Array, end: Array, centres: Array, radii: Array) -> fl
     pairs = neighbours_within(centres, radii)
     apart = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
     met = apart <= radii[pairs].sum(axis=1)
-    rows, columns, lengths = [pairs[met, 0]], [pairs[met, 1]], [apart[met]]
-    count = len(radii)
-    for node, point in ((count, start), (count + 1, end)):
+    ends = []
+    for point in (start, end):
         away = np.linalg.norm(centres - point, axis=1)
         inside = np.flatnonzero(away <= radii)
-        rows.append(np.full(len(inside), node))
-        columns.append(inside)
-        lengths.append(away[inside])
-    # A length of zero would read as no edge.
-    values = np.maximum(np.concatenate(lengths), 1e-9)
-    graph = csr_array((values, (np.concatenate(rows), np.concatenate(columns))), shape=(count + 2, count + 2))
+        ends.append((inside, away[inside]))
+    count = len(radii)
+    graph = graph_with_ends(count, pairs[met], apart[met], ends)
     return float(dijkstra(graph, directed=False, indices=count)[count + 1])
+
+
+def graph_with_ends(
+    count: int, pairs: NDArray[np.int64], weights: Array, ends: Sequence[tuple[NDArray[np.int64], Array]]
+) -> csr_array:
+    """An undirected graph over ``count`` stations with edges ``pairs`` ``(E, 2)`` of ``weights`` ``(E,)``.
+
+    Each of ``ends``, its stations and what the way to each weighs, is one node more: ``count``, ``count + 1``, ...
+    """
+    rows, columns, values = [pairs[:, 0]], [pairs[:, 1]], [weights]
+    for node, (stations, ways) in enumerate(ends, start=count):
+        rows.append(np.full(len(stations), node))
+        columns.append(stations)
+        values.append(ways)
+    size = count + len(ends)
+    # A weight of zero would read as no edge.
+    positive = np.maximum(np.concatenate(values), 1e-9)
+    return csr_array((positive, (np.concatenate(rows), np.concatenate(columns))), shape=(size, size))
 
 
 def _within_reach(problem: Problem, centres: Array, radii: Array, upper_length_m: float) -> NDArray[np.bool_]:

@@ -56,7 +56,7 @@ def solve_corridor(
     ``waypoints_m`` ``(K + 1, 3)`` has one point per joint, both ends included, each inside its joint's balls
     (`spread_waypoints` makes them). ``start_trajectory`` is a curve of degree up to 5 with as many pieces to start from
     instead: a plan to refine, or to adapt to changed limits. If that leads nowhere, the polyline flown at speed is
-    tried, briskly and then carefully, and at last the polyline flown from rest to rest.
+    tried, with much room at first, then with little, then carefully, and at last the polyline flown from rest to rest.
 
     With ``energy_weight`` w, the time plus w times the integral of |a|^2 / a_max^2 + |v|^3 / v_max^3 is minimised: a
     vehicle that needs as much power again for full acceleration and for drag at full speed as it needs to stay aloft

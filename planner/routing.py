@@ -13,11 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from planner.bound import LowerBound, lower_bound
+from planner.bound import LowerBound, graph_with_ends, lower_bound
 from planner.chords import leg_times_s
 from planner.discs import covering_stations, disc_radius_m
 from planner.errors import InfeasibleError
@@ -221,14 +220,11 @@ def _stations_worth_a_look(problem: Problem, adjacent: AdjacentPairs) -> Indices
     masts = problem.station_positions_m[:, :2]
     apart = np.linalg.norm(masts[first] - masts[second], axis=1)
     half = 0.5 * adjacent.depths_m
-    sources, targets = (covering_stations(problem, end) for end in (problem.start_m, problem.destination_m))
-    rows, columns, weights = [first], [second], [leg_times_s(problem, apart, half, half)]
-    for node, end, stations in ((count, problem.start_m, sources), (count + 1, problem.destination_m, targets)):
-        rows.append(np.full(len(stations), node))
-        columns.append(stations)
-        weights.append(np.linalg.norm(masts[stations] - end[:2], axis=1) / problem.limits.max_speed_m_s)
-    values = np.maximum(np.concatenate(weights), 1e-9)
-    graph = csr_array((values, (np.concatenate(rows), np.concatenate(columns))), shape=(count + 2, count + 2))
+    ends = []
+    for end in (problem.start_m, problem.destination_m):
+        inside = covering_stations(problem, end)
+        ends.append((inside, np.linalg.norm(masts[inside] - end[:2], axis=1) / problem.limits.max_speed_m_s))
+    graph = graph_with_ends(count, adjacent.pairs, leg_times_s(problem, apart, half, half), ends)
     there, back = dijkstra(graph, directed=False, indices=[count, count + 1])[:, :count]
     through = there + back
     order = np.argsort(through, kind="stable")

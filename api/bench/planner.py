@@ -130,20 +130,9 @@ class _Stopwatch:
     def __init__(self) -> None:
         self.seconds = 0.0
 
-    def plan(
-        self,
-        problem: Problem,
-        *,
-        method: Method = "joint",
-        time_limit_s: float | None = None,
-        energy_weight: float = 0.0,
-    ) -> Solution:
+    def plan(self, problem: Problem, **how: Any) -> Solution:
         """As `planner.Planner.plan`."""
-        solution, seconds, _ = timed(
-            lambda: default_planner().plan(
-                problem, method=method, time_limit_s=time_limit_s, energy_weight=energy_weight
-            )
-        )
+        solution, seconds, _ = timed(lambda: default_planner().plan(problem, **how))
         self.seconds += seconds
         return solution
 
@@ -152,9 +141,8 @@ def _run(mission: Mission, method: Method) -> tuple[Run, float]:
     """One way of ours, and the bound."""
     watch = _Stopwatch()
     plan, whole_s, wall_s = timed(lambda: plan_mission(mission, method=method, planner=watch))
-    return Run(
-        plan.mission_time_s, watch.seconds, len(plan.handovers), plan.method, whole_s, wall_s
-    ), plan.lower_bound_s
+    run = Run(plan.mission_time_s, watch.seconds, len(plan.handovers), plan.method, whole_s, wall_s)
+    return run, plan.lower_bound_s
 
 
 def _paper(mission: Mission) -> Run | None:

@@ -40,10 +40,10 @@ class Refuges:
 
 def find_refuges(problem: Problem, corridor: Corridor) -> Refuges:
     """The refuges of a corridor. Raises `InfeasibleError` where a joint's balls have no point in common."""
-    points = _deepest_points_m(problem, corridor)
-    slack, shrink = np.zeros(len(points)), np.zeros(len(points))
+    count = len(corridor) - 1
+    points, slack, shrink = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
     for joints, balls in alike(corridor):
-        points[joints], slack[joints] = _lift(problem, balls, points[joints])
+        points[joints], slack[joints] = _lift(problem, balls, _deepest_points_m(problem, balls))
         shrink[joints] = RANGE_SHRINK * problem.ranges_m[balls].max(axis=1)
     thin = slack < 8.0 * shrink
     return Refuges(points, slack, thin, np.minimum(shrink, 0.25 * np.maximum(slack, 0.0)))
@@ -73,21 +73,16 @@ def slack_m(problem: Problem, balls: tuple[int, ...] | NDArray[np.int64], point_
     return np.asarray(left.min(axis=-1))
 
 
-def _deepest_points_m(problem: Problem, corridor: Corridor) -> Array:
-    """``(S - 1, 3)``: for every joint the point with the most range left to all its balls."""
-    points = np.zeros((len(corridor) - 1, 3))
-    for joints, balls in alike(corridor):
-        if balls.shape[1] > 2:
-            for k, stations in zip(joints, balls.tolist(), strict=True):
-                points[k] = _chebyshev_point_m(problem, tuple(stations))
-            continue
-        first, last = balls[:, 0], balls[:, -1]
-        depth = lens_depth_m(problem, first, last)
-        apart = np.flatnonzero(depth < np.where(first == last, 0.0, MIN_LENS_M))
-        if len(apart):
-            raise InfeasibleError(broken_pair(problem, int(first[apart[0]]), int(last[apart[0]])))
-        points[joints] = lens_point_m(problem, first, last)
-    return points
+def _deepest_points_m(problem: Problem, balls: NDArray[np.int64]) -> Array:
+    """``(j, 3)``: for every joint the point with the most range left to all its ``balls`` ``(j, b)``."""
+    if balls.shape[1] > 2:
+        return np.array([_chebyshev_point_m(problem, tuple(stations)) for stations in balls.tolist()])
+    first, last = balls[:, 0], balls[:, -1]
+    depth = lens_depth_m(problem, first, last)
+    apart = np.flatnonzero(depth < np.where(first == last, 0.0, MIN_LENS_M))
+    if len(apart):
+        raise InfeasibleError(broken_pair(problem, int(first[apart[0]]), int(last[apart[0]])))
+    return lens_point_m(problem, first, last)
 
 
 def _chebyshev_point_m(problem: Problem, balls: tuple[int, ...]) -> Array:
