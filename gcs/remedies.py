@@ -17,7 +17,7 @@ import numpy as np
 from gcs.errors import GcsError, MissionInfeasible
 from gcs.layout import lay_out
 from gcs.mission import GeoPosition, LocalPosition, Mission, Position, StartState, Station
-from planner.lens import diagnose
+from planner.diagnosis import diagnose
 
 Fix = dict[str, object]
 

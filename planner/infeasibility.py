@@ -1,8 +1,8 @@
 """Why a problem has no plan, and what would give it one.
 
-`planner.lens.diagnose` says what is wrong with the ranges and the one station to change. Here stand the limits (wind,
-start state, endurance) and, beside the first remedy, others of a different kind, each found by solving for the least
-change after which nothing is wrong any more:
+`planner.diagnosis.diagnose` says what is wrong with the ranges and the one station to change. Here stand the limits
+(wind, start state, endurance) and, beside the first remedy, others of a different kind, each found by solving for the
+least change after which nothing is wrong any more:
 
     raise_range        of the one station with which it is least, where that is not the first remedy
     raise_all_ranges   every range by so much: what a smaller range margin would give
@@ -24,9 +24,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from planner.bound import LowerBound
+from planner.diagnosis import diagnose
 from planner.discs import altitude_span_m, covering_stations, disc_radius_m, range_to_meet_m
 from planner.errors import Infeasibility
-from planner.lens import MIN_LENS_M, adjacent_pairs, diagnose
+from planner.lens import MIN_LENS_M, adjacent_pairs
 from planner.problem import Limits, Problem
 
 # Above this many stations only the first remedy is worked out: the others take some dozens of diagnoses each.
@@ -38,14 +39,15 @@ BISECTIONS = 24
 MAX_FAULTS = 4
 
 
-def explain(problem: Problem, bound: LowerBound) -> Infeasibility | None:
+def explain(problem: Problem, bound: LowerBound, *, chained: bool = False) -> Infeasibility | None:
     """Why no trajectory of ``problem`` exists; None when neither ranges nor limits speak against one.
 
+    ``chained``: a chain of stations is known (`planner.routing.geodesic_route`), so the ranges need no second look.
     ``fix`` is the smallest remedy of its kind, ``fix["also"]`` what more is needed beside it, and
     ``fix["alternatives"]`` remedies of other kinds, each of which cures everything.
     """
     return (
-        diagnose_ranges(problem)
+        (None if chained else diagnose_ranges(problem))
         or _wind(problem.limits)
         or _start_state(problem)
         or _endurance(problem, bound.time_s, proven=True)
@@ -153,7 +155,7 @@ def _all_faults(problem: Problem, found: Infeasibility) -> list[Infeasibility]:
 
 
 def _remedied(problem: Problem, fix: dict[str, object] | None) -> Problem | None:
-    """The problem after a remedy of `planner.lens.diagnose`; None for one that cannot be carried out here."""
+    """The problem after a remedy of `planner.diagnosis.diagnose`; None for one that cannot be carried out here."""
     if fix is None:
         return None
     if fix["action"] == "raise_range":
@@ -246,7 +248,7 @@ def _least(cured: Callable[[float], bool], most: float, needed: float = 0.0) -> 
 
 
 def _linked(problem: Problem) -> bool:
-    """True when `planner.lens.diagnose` would find nothing wrong; cheaper where it would."""
+    """True when `planner.diagnosis.diagnose` would find nothing wrong; cheaper where it would."""
     ends = (problem.start_m[2], problem.destination_m[2])
     if min(ends) < problem.limits.min_alt_m or max(ends) > problem.limits.max_alt_m:
         return False

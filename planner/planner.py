@@ -23,7 +23,7 @@ from planner.joint import Attempt, Effort, plan_alternating, plan_joint
 from planner.paper.am import plan_paper
 from planner.polyline import polyline_along, priced
 from planner.problem import Problem
-from planner.routing import candidate_routes
+from planner.routing import Route, candidate_routes, geodesic_route
 from planner.solution import Solution
 
 Method = Literal["joint", "fast", "paper"]
@@ -89,7 +89,8 @@ class Planner:
             raise ValueError(f"energy_weight must be finite and not negative, not {energy_weight}")
         started = self._clock()
         bound = lower_bound(problem)
-        infeasibility = explain(problem, bound)
+        route = None if priced(problem) else geodesic_route(problem, bound)
+        infeasibility = explain(problem, bound, chained=route is not None)
         if infeasibility is not None:
             raise InfeasibleError(infeasibility)
 
@@ -103,7 +104,8 @@ class Planner:
             solution = replace(solution, trajectory=slowed_to_save(problem, solution.trajectory, energy_weight))
         else:
             for weight in ENDURANCE_WEIGHTS:
-                search = _Search(free, bound, STRATEGIES[method], weight * energy_weight, self._max_iterations, in_time)
+                part = weight * energy_weight
+                search = _Search(free, bound, route, STRATEGIES[method], part, self._max_iterations, in_time)
                 solution = search.run()
                 if energy_weight == 0.0 or too_long(problem, solution.trajectory.duration_s) is None:
                     break
@@ -117,10 +119,11 @@ class Planner:
 
 @dataclass(frozen=True)
 class _Search:
-    """One problem, planned along as many sequences as it takes."""
+    """One problem, planned along as many sequences as it takes; ``route`` is `geodesic_route`'s."""
 
     problem: Problem
     bound: LowerBound
+    route: Route | None
     strategy: Strategy
     energy_weight: float
     max_iterations: int
@@ -145,7 +148,7 @@ class _Search:
 
     def _free(self) -> tuple[list[tuple[int, ...]], Attempt | None]:
         """Where handovers cost nothing the shortest path's sequence is best, and others only looked at in doubt."""
-        routes = candidate_routes(self.problem, 1, bound=self.bound)
+        routes = [self.route] if self.route else candidate_routes(self.problem, 1, bound=self.bound)
         best = self._joint(routes[0].sequence)
         doubtful = best is None or not best.converged
         if best is not None and self.energy_weight == 0.0:

@@ -1,8 +1,9 @@
 """A polyline along a station sequence: where each handover could be.
 
 It is the first guess of the joint problem and prices a sequence before anything is solved. Where handovers cost
-nothing it is the shortest one (the paper's P4). Otherwise every lens gets a grid of points, and dynamic programming
-finds the fastest way through them, at the prices of `planner.chords`.
+nothing it is the shortest one, a string pulled tight through the lenses' chords, or where these cross each other the
+paper's P4. Otherwise every lens gets a grid of points, and dynamic programming finds the fastest way through them, at
+the prices of `planner.chords`.
 """
 
 from __future__ import annotations
@@ -15,15 +16,18 @@ from numpy.typing import NDArray
 
 from planner.bound import fastest_time_s
 from planner.chords import Chords, chords, leaves_after, leg_times_s
-from planner.corridor import build_corridor
+from planner.corridor import Corridor, build_corridor
 from planner.paper.refuge import find_refuges
 from planner.paper.waypoints import polyline_length_m, shortest_polyline
 from planner.problem import Problem
+from planner.taut import pull_tight
 
 Array = NDArray[np.float64]
 
+# How far out on its half of a chord a handover may be.
+OUTERMOST = 1.0 - 1e-6
 # Points of a lens: along its chord, and across.
-ALONG = np.linspace(-1.0 + 1e-6, 1.0 - 1e-6, 11)
+ALONG = np.linspace(-OUTERMOST, OUTERMOST, 11)
 ACROSS = np.array([0.1, 0.5, 0.9])
 
 
@@ -35,20 +39,37 @@ def polyline_along(problem: Problem, sequence: Sequence[int], *, inwards: float 
     """
     limits = problem.limits
     stations = np.asarray(sequence, dtype=np.int64)
-    plain = build_corridor(replace(problem, min_overlap_s=0.0, min_tenure_s=0.0), sequence)
-    if len(stations) == 1 or not priced(problem):
-        polyline = shortest_polyline(problem, plain)
-        estimate = fastest_time_s(limits, polyline_length_m(polyline))
-    else:
-        lens = chords(problem, stations[:-1], stations[1:])
+    if len(stations) == 1:
+        polyline = np.stack([problem.start_m, problem.destination_m])
+        return polyline, fastest_time_s(limits, polyline_length_m(polyline))
+    lens = chords(problem, stations[:-1], stations[1:])
+    if priced(problem):
         flat, estimate = _best_on_grid(problem, stations, lens)
         # Speeding up and braking lose half of v/a each.
         estimate += limits.max_speed_m_s / limits.max_accel_m_s2
-        inner = np.column_stack([flat, _altitudes(problem, stations, lens, flat)])
-        polyline = np.concatenate([problem.start_m[None], inner, problem.destination_m[None]])
-    if inwards > 0.0 and len(stations) > 1:
-        polyline[1:-1] += inwards * (find_refuges(problem, plain).points_m - polyline[1:-1])
+        polyline = _lifted(problem, stations, lens, flat)
+    else:
+        left, right = lens.points(np.broadcast_to([OUTERMOST, -OUTERMOST], (len(lens.half), 2))).swapaxes(0, 1)
+        tight = pull_tight(problem.start_m[:2], left, right, problem.destination_m[:2])
+        if tight is None:
+            polyline = shortest_polyline(problem, _plain(problem, sequence))
+        else:
+            polyline = _lifted(problem, stations, lens, tight)
+        estimate = fastest_time_s(limits, polyline_length_m(polyline))
+    if inwards > 0.0:
+        polyline[1:-1] += inwards * (find_refuges(problem, _plain(problem, sequence)).points_m - polyline[1:-1])
     return polyline, estimate
+
+
+def _plain(problem: Problem, sequence: Sequence[int]) -> Corridor:
+    """The corridor of one piece a station, a joint in every lens."""
+    return build_corridor(replace(problem, min_overlap_s=0.0, min_tenure_s=0.0), sequence)
+
+
+def _lifted(problem: Problem, stations: NDArray[np.int64], lens: Chords, flat: Array) -> Array:
+    """The polyline of the handovers ``flat`` ``(E, 2)``, seen from above."""
+    inner = np.column_stack([flat, _altitudes(problem, stations, lens, flat)])
+    return np.concatenate([problem.start_m[None], inner, problem.destination_m[None]])
 
 
 def priced(problem: Problem) -> bool:

@@ -18,9 +18,10 @@ from scipy.spatial import cKDTree
 
 from planner.bound import LowerBound, graph_with_ends, lower_bound
 from planner.chords import leg_times_s
+from planner.diagnosis import diagnose
 from planner.discs import covering_stations, disc_radius_m
 from planner.errors import InfeasibleError
-from planner.lens import MIN_LENS_M, AdjacentPairs, adjacent_pairs, diagnose, lens_depth_m
+from planner.lens import MIN_LENS_M, AdjacentPairs, adjacent_pairs, lens_depth_m
 from planner.polyline import priced
 from planner.portals import CHORD_FRACTIONS, MAX_LEGS, PortalGraph, Route, legs_of
 from planner.problem import Problem
@@ -28,7 +29,15 @@ from planner.problem import Problem
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-__all__ = ["MIN_LENS_M", "Route", "candidate_routes", "geodesic_sequence", "is_chain", "select_stations"]
+__all__ = [
+    "MIN_LENS_M",
+    "Route",
+    "candidate_routes",
+    "geodesic_route",
+    "geodesic_sequence",
+    "is_chain",
+    "select_stations",
+]
 
 # Above this many pairs of stations that meet, a coarse graph first leaves out stations far from any good path.
 MAX_PAIRS = 3_000
@@ -50,10 +59,9 @@ def candidate_routes(problem: Problem, count: int = 1, *, bound: LowerBound | No
     """
     routes: list[Route] = []
     if not priced(problem):
-        bound = lower_bound(problem) if bound is None else bound
-        sequence = None if bound.path_m is None else geodesic_sequence(problem, bound.path_m)
-        if sequence is not None and (problem.max_handovers is None or len(sequence) <= problem.max_handovers + 1):
-            routes.append(Route(sequence, bound.length_m / problem.limits.max_speed_m_s))
+        route = geodesic_route(problem, lower_bound(problem) if bound is None else bound)
+        if route is not None:
+            routes.append(route)
     if len(routes) < count:
         known = {route.sequence for route in routes}
         stations, graph = _graph(problem)
@@ -77,6 +85,21 @@ def is_chain(problem: Problem, sequence: Sequence[int]) -> bool:
     if stations[-1] not in covering_stations(problem, problem.destination_m):
         return False
     return bool((lens_depth_m(problem, stations[:-1], stations[1:]) >= MIN_LENS_M).all())
+
+
+def geodesic_route(problem: Problem, bound: LowerBound) -> Route | None:
+    """The stations along the bound's path: a chain, so that there is a plan as far as ranges, band and handovers go.
+
+    None where the path is not known, the problem's own ranges leave a gap in it, an end lies outside the altitude band
+    or the stations are more than allowed.
+    """
+    limits, altitudes_m = problem.limits, (problem.start_m[2], problem.destination_m[2])
+    if bound.path_m is None or not limits.min_alt_m <= min(altitudes_m) <= max(altitudes_m) <= limits.max_alt_m:
+        return None
+    sequence = geodesic_sequence(problem, bound.path_m)
+    if sequence is None or (problem.max_handovers is not None and len(sequence) > problem.max_handovers + 1):
+        return None
+    return Route(sequence, bound.length_m / problem.limits.max_speed_m_s)
 
 
 def geodesic_sequence(problem: Problem, path_m: Array) -> tuple[int, ...] | None:

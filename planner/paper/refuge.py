@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from planner.conic import ConeProgram
 from planner.corridor import Corridor
+from planner.diagnosis import broken_pair
 from planner.errors import Infeasibility, InfeasibleError
-from planner.lens import MIN_LENS_M, broken_pair, lens_depth_m, lens_point_m
+from planner.lens import MIN_LENS_M, lens_depth_m, lens_point_m
 from planner.problem import Problem
 
 Array = NDArray[np.float64]

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from planner.diagnosis import broken_pair, diagnose
 from planner.discs import covering_stations
 from planner.errors import Infeasibility, InfeasibleError, ProblemError
-from planner.lens import MIN_LENS_M, adjacent_pairs, broken_pair, diagnose, lens_depth_m
+from planner.lens import MIN_LENS_M, adjacent_pairs, lens_depth_m
 from planner.problem import Problem
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ import pytest
 from gcs.errors import MissionInfeasible
 from gcs.mission import Mission
 from gcs.planning import lay_out, plan_mission
-from planner.lens import diagnose
+from planner.diagnosis import diagnose
 from tests.checker import check_plan
 from tests.infeasible_missions import INFEASIBLE, local, wgs84
 from tests.malformed_missions import GOOD

@@ -206,3 +206,9 @@ def random_chain(seed: int) -> Problem | None:
         min_tenure_s=float(rng.choice([0.0, 0.0, 10.0, 300.0])),
         **options,
     )
+
+
+def scene(*stations: tuple[float, float, float, float], **options: object) -> Problem:
+    """Ends at the first and last station's axes, 100 m up, band 100 to 120 m."""
+    first, last = stations[0], stations[-1]
+    return make_problem([first[0], first[1], 100], [last[0], last[1], 100], stations, **options)

@@ -23,7 +23,7 @@ from planner_missions import (
 
 from planner import InfeasibleError, Problem, ProblemError, SolverError, build_corridor, certify
 from planner.bound import lower_bound
-from planner.lens import diagnose
+from planner.diagnosis import diagnose
 from planner.paper.am import Iteration, plan_paper
 from planner.paper.station_graph import shortest_sequence
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from planner_missions import make_problem, paper_problem
 
 from planner import Infeasibility, InfeasibleError, Planner, Problem, Solution, certify
-from planner.lens import diagnose
+from planner.diagnosis import diagnose
 
 DEFAULTS = {"margin_m": 25.0, "min_overlap_s": 5.0, "min_tenure_s": 10.0}
 ROOT = Path(__file__).resolve().parents[2]

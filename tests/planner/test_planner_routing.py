@@ -14,7 +14,7 @@ from planner_missions import make_problem, paper_problem
 
 from planner import InfeasibleError, Problem, build_corridor, routing
 from planner.bound import lower_bound
-from planner.lens import diagnose
+from planner.diagnosis import diagnose
 from planner.paper.waypoints import polyline_length_m, shortest_polyline
 from planner.polyline import polyline_along
 from planner.portals import PortalGraph
