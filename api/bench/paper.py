@@ -38,7 +38,7 @@ RIVALS = ("COBYLA", "BOBYQA", "NEWUOA-BOUND", "PRAXIS", "NELDERMEAD", "SBPLX", "
 ALLOCATIONS = (*RIVALS, "AM")
 DELTA_T_S = 1.0
 DEGREE = 5
-# How EM goes through the sequences: what was measured with another order is not shown beside this one.
+# How EM goes through the sequences; what was measured with another order is not taken for this one's.
 EM_ORDER = "best first"
 
 
@@ -110,8 +110,8 @@ def run(
     """Measure what ``results`` lacks, and units named in ``again`` anew; a row of everything for each mission.
 
     ``kept_only``: measure nothing but ``again``. Missions of which Table 4 is not complete are then left out, and
-    ``enumeration`` is None where there is none yet; one that went through the sequences in another order, as earlier
-    versions did, has a field ``order``. ``longer`` is the enumeration under the longest limit, if longer than asked.
+    ``enumeration`` is None where there is none yet. ``longer`` is the enumeration under the longest limit, if longer
+    than asked.
 
     Raises what `Mission.from_document` and the planners raise for a mission that cannot be used.
     """
@@ -128,8 +128,6 @@ def run(
             found = results.get(unit.name, key, unit.settings)
             if found is None and unit.name == "enumeration":
                 found = _finished(results, key)
-                if found is None and kept_only:
-                    found = _in_another_order(results, key, settings.time_limit_s)
             if found is None and kept_only and unit.name not in again:
                 lacking.add(unit.name)
                 continue
@@ -153,14 +151,6 @@ def _finished(results: Results, mission: str) -> dict[str, Any] | None:
     for settings, measured in results.of("enumeration", mission):
         if measured["complete"] and (settings["delta_t_s"], settings.get("order")) == (DELTA_T_S, EM_ORDER):
             return measured
-    return None
-
-
-def _in_another_order(results: Results, mission: str, time_limit_s: float) -> dict[str, Any] | None:
-    for settings, measured in results.of("enumeration", mission):
-        same = (settings["delta_t_s"], settings["time_limit_s"]) == (DELTA_T_S, time_limit_s)
-        if same and settings.get("order") != EM_ORDER:
-            return {**measured, "order": settings.get("order", "depth first")}
     return None
 
 
@@ -313,7 +303,6 @@ def table_3(rows: Sequence[dict[str, Any]], which: str = "enumeration") -> list[
                 },
                 "rank_dc": em.get("rank_dc"),
                 "complete": em.get("complete"),
-                "order": em.get("order", EM_ORDER if em else None),
                 "time_limit_s": em.get("time_limit_s"),
                 "cpu_s": {
                     "em": em.get("cpu_s"),
