@@ -28,6 +28,7 @@ from gcs.plan import Plan
 from gcs.planning import PlannerLike, Progress, plan_mission, recertify
 from gcs.schedule import schedule
 from planner import bezier
+from planner.certificate import CONTINUITY_TOLERANCE
 from planner.planner import Method
 from planner.trajectory import Trajectory
 
@@ -40,7 +41,11 @@ BRAKING_SHARES = (0.6, 0.45, 0.3, 0.8)
 """Peak braking, of the acceleration limit, tried in turn for a flight that stands."""
 BACK_S = (0.0, 2.0, 4.0, 8.0, 16.0)
 """How far back on the plan a flight that stands may have to go, tried in turn."""
-_PIECE_S = 1.0
+LEAST_PIECE_S = 2.0
+"""Shortest piece a join leaves: coordinates of 100 km round to 1e-11 m, and an acceleration is their second difference
+over the piece's time squared, so that shorter pieces would not be continuous to the certificate's tolerance."""
+_BRAKING_PIECE_S = 1.5
+_SAME_S = 1e-6
 _OTHER_STARTS = 3
 
 
@@ -120,7 +125,7 @@ def replan(
     notes: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Replanned:
-    """Plan anew from ``join_s`` of ``plan``; ``at_rest``: the flight stands there.
+    """Plan anew from ``join_s`` of ``plan``, or up to `LEAST_PIECE_S` later; ``at_rest``: the flight stands there.
 
     ``destination`` and ``excluded_stations`` (ids) replace the mission's. ``elapsed_s`` is how long the flight will
     have lasted at the join, where that is not ``join_s``: endurance counts from T+0. Handovers planned
@@ -145,14 +150,17 @@ def replan(
         "progress": progress,
         "plane": plan.plane,
     }
+    curve = _as_flown(plan, present_s, handovers_done)
+    if at_rest:
+        tries = [join_s - back_s for back_s in BACK_S if back_s <= join_s]
+    else:
+        clear_s = min(_clear_of_joints(curve, join_s)[1], plan.mission_time_s - LEAST_LEFT_S)
+        tries = list(dict.fromkeys((clear_s, join_s)))
     first: MissionInfeasible | None = None
-    for back_s in BACK_S if at_rest else (0.0,):
-        if back_s > join_s:
-            break
-        leave_s = join_s - back_s
-        curve = _as_flown(plan, present_s, handovers_done)
+    for leave_s in tries:
+        elapsed = elapsed_s if at_rest or elapsed_s is None else elapsed_s + leave_s - join_s
         try:
-            return _from(plan, curve, leave_s, at_rest, destination, excluded, elapsed_s, how)
+            return _from(plan, curve, leave_s, at_rest, destination, excluded, elapsed, how)
         except MissionInfeasible as error:
             first = first or error
     assert first is not None
@@ -245,10 +253,21 @@ def _as_flown(plan: Plan, present_s: float | None, handovers_done: int | None) -
     return Trajectory(curve.control_points_m, curve.durations_s, stations)
 
 
+def _clear_of_joints(curve: Trajectory, time_s: float) -> tuple[float, float]:
+    """The nearest times before and after, or the time itself, at which to split the curve leaves no short piece."""
+    before = int(np.searchsorted(curve.knots_s, time_s + _SAME_S, side="right")) - 1
+    knot_s = float(curve.knots_s[before])
+    if time_s <= knot_s + _SAME_S:
+        return knot_s, knot_s
+    if time_s >= knot_s + LEAST_PIECE_S:
+        return time_s, time_s
+    return knot_s, min(knot_s + LEAST_PIECE_S, float(curve.knots_s[before + 1]))
+
+
 def _until(curve: Trajectory, time_s: float) -> tuple[Array, Array, NDArray[np.int64]]:
     """Control points, durations and stations of a curve up to a time of it."""
     parts = curve.split([time_s])
-    count = int(np.searchsorted(parts.knots_s, time_s + 1e-6, side="right")) - 1
+    count = int(np.searchsorted(parts.knots_s, time_s + _SAME_S, side="right")) - 1
     return parts.control_points_m[:count], parts.durations_s[:count], parts.station_index[:count]
 
 
@@ -287,12 +306,16 @@ def _standing(plan: Plan, curve: Trajectory, stand_s: float, rest: Plan) -> Repl
     result: Replanned | MissionInfeasible | None = None
     for share in BRAKING_SHARES:
         lasts_s = 1.5 * speed / (share * plan.mission.limits.max_accel_m_s2)
-        begin_s = max(0.0, stand_s - 0.5 * lasts_s)
-        lasts_s = 2.0 * (stand_s - begin_s)
+        begin_s = _clear_of_joints(curve, max(0.0, stand_s - 0.5 * lasts_s))[0]
+        if begin_s == 0.0 and plan.mission.options.start_state is None:
+            # From rest to rest, as slowly as need be.
+            lasts_s = max(lasts_s, LEAST_PIECE_S)
+        else:
+            lasts_s = 2.0 * (stand_s - begin_s)
         points, durations, stations = _nothing(degree)
         if begin_s > 1e-6:
             points, durations, stations = _until(curve, begin_s)
-        brake, pieces_s = _braking(curve, begin_s, stand_s, degree)
+        brake, pieces_s = _braking(curve, begin_s, stand_s, lasts_s, degree)
         ends = curve.station_index[curve.segment_at(np.array([begin_s, stand_s]))]
         # Around a handover the station before it may be the one that covers all of the braking.
         for station in dict.fromkeys(ends[::-1].tolist()):
@@ -309,21 +332,22 @@ def _standing(plan: Plan, curve: Trajectory, stand_s: float, rest: Plan) -> Repl
     return result
 
 
-def _braking(curve: Trajectory, begin_s: float, stand_s: float, degree: int) -> tuple[Array, Array]:
+def _braking(curve: Trajectory, begin_s: float, stand_s: float, lasts_s: float, degree: int) -> tuple[Array, Array]:
     """The way from ``begin_s`` to rest at ``stand_s`` of the same path: control points and durations of its pieces.
 
-    The rate along the plan falls from 1 to 0 as 1 - 3 u^2 + 2 u^3 with u the share of the time taken, which is twice
-    the plan's. Each piece is the quintic with the right position, velocity and acceleration at both ends.
+    The rate along the plan falls from its first value to 0 as 1 - 3 u^2 + 2 u^3 with u the share of the time taken,
+    ``lasts_s``. That is twice the plan's time, and the first value 1, or more from rest. Each piece is the quintic with
+    the right position, velocity and acceleration at both ends.
     """
     if stand_s - begin_s < 1e-6:
         return np.empty((0, degree + 1, 3)), np.empty(0)
-    lasts_s = 2.0 * (stand_s - begin_s)
-    count = max(2, math.ceil(lasts_s / _PIECE_S))
+    count = max(1, math.floor(lasts_s / _BRAKING_PIECE_S))
     u = np.linspace(0.0, 1.0, count + 1)
-    on_plan = begin_s + lasts_s * (u - u**3 + 0.5 * u**4)
+    span_s = 2.0 * (stand_s - begin_s)
+    on_plan = begin_s + span_s * (u - u**3 + 0.5 * u**4)
     on_plan[-1] = stand_s
-    rate = 1.0 - 3.0 * u**2 + 2.0 * u**3
-    change = (-6.0 * u + 6.0 * u**2) / lasts_s
+    rate = span_s / lasts_s * (1.0 - 3.0 * u**2 + 2.0 * u**3)
+    change = span_s / lasts_s**2 * (-6.0 * u + 6.0 * u**2)
     rate[-1] = change[-1] = 0.0
     place, first, second = (np.asarray(curve.evaluate(on_plan, order)) for order in (0, 1, 2))
     velocity = rate[:, None] * first
@@ -376,8 +400,9 @@ def _whole(plan: Plan, rest: Plan, curve: Trajectory, join_s: float) -> Plan | M
     )
     certificate = recertify(made)
     if not certificate.feasible:
+        allowed = {"continuity": CONTINUITY_TOLERANCE}
         broken = ", ".join(
-            f"{name} by {value:.3g}" for name, value in certificate.worst.items() if value > 0 and name != "continuity"
+            f"{name} by {value:.3g}" for name, value in certificate.worst.items() if value > allowed.get(name, 0.0)
         )
         return _no_join(
             f"A new curve was found, but it cannot be joined on at {join_s:.1f} s of the plan: it breaks {broken}.",

@@ -169,7 +169,6 @@ def test_a_new_plan_is_proposed_accepted_and_flown(client: httpx.Client, planned
         assert "cannot be replanned" in assert_problem(client.post(f"{address}/replan"), 409)["detail"]
         assert launch(client, wait_for(client, flight["id"], "ready")).status_code == 200
         wait_for(client, flight["id"], "cruise")
-        time.sleep(0.5)  # five seconds of the vehicle's: its first is too early to join a curve on
         assert client.post(f"{address}/hold").status_code == 200
         until = time.monotonic() + 90
         while time.monotonic() < until:
