@@ -1,10 +1,10 @@
-"""Stamps that outlive the process: a small memory-mapped file per station.
+"""Stamps that outlive the process: a small file per station, in shared memory while it is in use.
 
-Why mapped: stamps change with every frame, and both directions must survive a crash exactly. ArduPilot raises its
+Why in memory: stamps change with every frame, and both directions must survive a crash exactly. ArduPilot raises its
 stamp by one a frame, not with time, so a reserve taken in advance would lock it out; and a file write with every
-frame has no place in a 50 Hz loop. A store into mapped memory costs under a microsecond, is kept by the kernel when the
-process is killed at any instant, and is written out by it in its own time. A power cut may lose up to half a minute of
-*incoming* stamps; ours are carried on by the clock.
+frame has no place in a 50 Hz loop. A store into shared memory costs under a microsecond and is kept by the kernel when
+the process is killed at any instant (`link.memory_file`); `save` copies all to the file, which the kernel writes out in
+its own time. A power cut may lose up to half a minute of *incoming* stamps; ours are carried on by the clock.
 
 Layout: 512 unsigned 64-bit words in the machine's byte order: a magic number, our own stamp, then pairs of a stream's
 mark (in use << 24 | link id << 16 | system << 8 | component) and its stamp. Words are stored whole, so a kill never
@@ -14,11 +14,11 @@ leaves half a stamp. The file is allocated in full beforehand, so that a full di
 from __future__ import annotations
 
 import fcntl
-import mmap
 import os
 from pathlib import Path
 
 from link.errors import SigningError
+from link.memory_file import MemoryFile
 
 _WORDS = 512
 _SIZE = 8 * _WORDS
@@ -32,7 +32,7 @@ Stream = tuple[int, int, int]
 class SigningStore:
     """Own stamp and last stamp of every stream; made by `open` or `in_memory`. Close it when the station is done."""
 
-    def __init__(self, words: memoryview, file: tuple[mmap.mmap, int] | None = None) -> None:
+    def __init__(self, words: memoryview, file: tuple[MemoryFile, int] | None = None) -> None:
         self._words = words
         self._file = file
         self._own = int(words[1])
@@ -66,7 +66,8 @@ class SigningStore:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise SigningError(f"signing state {path} is in use by another process; stop that one first") from None
-            if os.fstat(descriptor).st_size <= _SIZE and not any(os.pread(descriptor, _SIZE, 0)):
+            fresh = os.fstat(descriptor).st_size <= _SIZE and not any(os.pread(descriptor, _SIZE, 0))
+            if fresh:
                 # New, or its maker died before the magic number was in: nothing was ever sent with it.
                 os.posix_fallocate(descriptor, 0, _SIZE)
                 os.pwrite(descriptor, _MAGIC.to_bytes(8, "little"), 0)
@@ -77,8 +78,13 @@ class SigningStore:
                     f"signing state {path} is damaged or not ours: restore it; without it, stamps start at the "
                     "clock and a vehicle may not listen for a minute"
                 )
-            mapping = mmap.mmap(descriptor, _SIZE)
-            return cls(memoryview(mapping).cast("Q"), (mapping, descriptor))
+            file = MemoryFile(descriptor, _SIZE, fresh=fresh)
+            saved = memoryview(file.saved).cast("Q")
+            if file.words[0] != _MAGIC:
+                file.words[:] = saved
+            store = cls(file.words, (file, descriptor))
+            store._take_up(cls(saved))
+            return store
         except OSError as error:
             if descriptor is not None:
                 os.close(descriptor)
@@ -87,6 +93,13 @@ class SigningStore:
             if descriptor is not None:
                 os.close(descriptor)
             raise
+
+    def _take_up(self, other: SigningStore) -> None:
+        """What is newer there: of memory and file, either may have been in use last."""
+        self.own_stamp = max(self.own_stamp, other.own_stamp)
+        for stream, stamp in other._stamps.items():
+            if stamp > self._stamps.get(stream, -1):
+                self.remember(stream, stamp)
 
     @property
     def own_stamp(self) -> int:
@@ -118,13 +131,21 @@ class SigningStore:
         self._stamps[stream] = stamp
         return True
 
+    def save(self) -> None:
+        """Copy all stamps to the file, so that a power cut loses few; from a thread that may wait for a disk.
+
+        Raises `OSError` where the file cannot be written.
+        """
+        if self._file is not None:
+            self._file[0].save()
+
     def close(self) -> None:
         """Write out and let go of the file; further stamps are kept in memory alone."""
         if self._file is None:
             return
-        (mapping, descriptor), self._file = self._file, None
-        mapped, self._words = self._words, memoryview(bytearray(mapping[:])).cast("Q")
-        mapped.release()
-        mapping.flush()
-        mapping.close()
-        os.close(descriptor)
+        (file, descriptor), self._file = self._file, None
+        self._words = memoryview(bytearray(self._words)).cast("Q")
+        try:
+            file.close()
+        finally:
+            os.close(descriptor)

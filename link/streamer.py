@@ -14,14 +14,15 @@ Lines on the socket are JSON objects. In: ``{"attach": SEQUENCE}`` (events after
 ``new_plan_sha256`` that has been put into the run folder as ``plan-SHA256.json``; it is read and judged in a thread
 beside the flight.
 
-Timing: absolute deadlines, missed ticks skipped and counted, real-time priority where the system grants it, and the
-garbage collector's first full look taken before the flight. Logs are written by a thread of their own: a full or slow
-disk costs log lines, not setpoints.
+Timing: absolute deadlines, missed ticks skipped and counted, real-time priority and locked memory where the system
+grants them, and the garbage collector's first full look taken before the flight. Logs and signing stamps are written by
+a thread of their own: a full or slow disk costs log lines, not setpoints.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -33,7 +34,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,14 +58,20 @@ UPKEEP_S = 0.25
 """Endpoints are looked after at least this often, heard or not."""
 LINGER_S = 0.5
 """How long a finished streamer stays to deliver its last events."""
+SAVE_EVERY_S = 1.0
+"""How often signing stamps are copied from memory to their files."""
+_MCL_CURRENT, _MCL_ONFAULT = 1, 4
 
 
 class Recorder:
-    """Writes frames and events from a thread of its own; never blocks and never raises into the flight."""
+    """Writes frames, events and stamps from a thread of its own; never blocks and never raises into the flight."""
 
-    def __init__(self, run_dir: Path, log_path: str | None, epoch_unix_s: float) -> None:
+    def __init__(
+        self, run_dir: Path, log_path: str | None, epoch_unix_s: float, stores: Iterable[SigningStore] = ()
+    ) -> None:
         self._queue: queue.SimpleQueue[tuple[str, float, bytes] | None] = queue.SimpleQueue()
         self._epoch_unix_s = epoch_unix_s
+        self._stores = tuple(stores)
         self._log = None if log_path is None else TlogWriter(log_path, tolerant=True)
         self._events = os.open(run_dir / "events.jsonl", os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
         self.dropped = 0
@@ -88,18 +95,33 @@ class Recorder:
     def _run(self) -> None:
         # Kept waiting for a processor while it holds the interpreter's lock, it would keep the flight waiting.
         raise_priority(REAL_TIME_PRIORITY - 1)
-        while (item := self._queue.get()) is not None:
-            kind, now_s, data = item
-            try:
-                if kind == "event":
-                    os.write(self._events, data)
-                elif self._log is not None:
-                    self._log.write(data, int((self._epoch_unix_s + now_s) * 1e6))
-            except OSError:
-                self.dropped += 1
+        save_at_s = time.monotonic() + SAVE_EVERY_S
+        while True:
+            with contextlib.suppress(queue.Empty):
+                item = self._queue.get(timeout=max(0.0, save_at_s - time.monotonic()))
+                if item is None:
+                    break
+                self._write(*item)
+            if time.monotonic() >= save_at_s:
+                self._save()
+                save_at_s = time.monotonic() + SAVE_EVERY_S
         if self._log is not None:
             self._log.close()
         os.close(self._events)
+
+    def _write(self, kind: str, now_s: float, data: bytes) -> None:
+        try:
+            if kind == "event":
+                os.write(self._events, data)
+            elif self._log is not None:
+                self._log.write(data, int((self._epoch_unix_s + now_s) * 1e6))
+        except OSError:
+            self.dropped += 1
+
+    def _save(self) -> None:
+        for store in self._stores:
+            with contextlib.suppress(OSError):  # they are in memory, and it is tried again
+                store.save()
 
 
 def make_codecs(request: FlightRequest, run_dir: Path) -> dict[str, StationCodec]:
@@ -179,6 +201,15 @@ def raise_priority(priority: int = REAL_TIME_PRIORITY) -> str:
     return f"SCHED_FIFO {priority}"
 
 
+def lock_memory() -> str:
+    """Keep in memory what is there, so that no tick waits for a disk to bring it back; what was got."""
+    try:
+        failed = ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_ONFAULT)
+    except (OSError, AttributeError) as error:
+        return f"not locked ({error})"
+    return f"not locked ({os.strerror(ctypes.get_errno())})" if failed else "locked"
+
+
 class Streamer:
     """The core, its sockets and its clock."""
 
@@ -188,10 +219,12 @@ class Streamer:
         self.locks = LinkLocks(self.endpoints)
         self.clock = FlightClock() if request.speedup == 1.0 else PacedClock(request.speedup)
         epoch_unix_s = time.time()
-        self.recorder = Recorder(run_dir, request.log_path, epoch_unix_s)
+        codecs = make_codecs(request, run_dir)
+        self.stores = [codec.signing.store for codec in codecs.values() if codec.signing is not None]
+        self.recorder = Recorder(run_dir, request.log_path, epoch_unix_s, self.stores)
         self.core = FlightCore(
             request,
-            codecs=make_codecs(request, run_dir),
+            codecs=codecs,
             now_s=self.clock.now_s(),
             epoch_unix_s=epoch_unix_s,
             on_frame=self.recorder.frame,
@@ -213,7 +246,7 @@ class Streamer:
         # Young garbage alone: a full look may take longer than a tick.
         gc.set_threshold(20_000, 20, 100_000)
         sys.setswitchinterval(0.0005)
-        self._log(f"priority: {raise_priority()}")
+        self._log(f"priority: {raise_priority()}; memory: {lock_memory()}")
         self.core.start(self.clock.now_s())
         while not self.core.finished:
             self._wait()
@@ -339,6 +372,9 @@ class Streamer:
         for endpoint in self.endpoints.values():
             endpoint.close()
         self.recorder.close()
+        for store in self.stores:
+            with contextlib.suppress(OSError):  # as a killed process leaves them: in memory
+                store.close()
         self.locks.release()
 
 

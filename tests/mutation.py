@@ -37,6 +37,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "link/handover.py": ("tests/link/test_link_handover_edges.py", "tests/link/test_link_handover.py"),
     "link/signing.py": ("tests/link/test_link_signing_edges.py", "tests/link/test_link_signing.py"),
     "link/signing_store.py": ("tests/link/test_link_signing_edges.py", "tests/link/test_link_signing.py"),
+    "link/memory_file.py": ("tests/link/test_link_signing_edges.py", "tests/link/test_link_signing.py"),
     "link/clock.py": ("tests/link/test_link_clock_edges.py", "tests/link/test_link_clock.py"),
     "link/streamer.py": ("tests/link/test_link_streamer_loop.py",),
 }

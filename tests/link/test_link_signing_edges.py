@@ -5,11 +5,13 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from test_link_signing import NOW, Clock, make, refused, sign, stamp_of, taken
 
+from link import memory_file
 from link.errors import SigningError
 from link.signing import MAX_STAMP, Verdict
 from link.signing_store import SigningStore
@@ -41,6 +43,25 @@ def _heartbeat() -> object:
 
 
 # -- the file ---------------------------------------------------------------------------------------------------------
+
+
+def in_memory() -> list[Path]:
+    """The stamps that lie in shared memory."""
+    return list(memory_file.FOLDER.glob("skyrelay-*"))
+
+
+def open_files() -> list[str]:
+    """What the descriptors of this process stand for."""
+    return [os.readlink(one) for one in Path("/proc/self/fd").iterdir() if one.is_symlink()]
+
+
+@pytest.fixture(autouse=True)
+def own_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Shared memory of this test's own."""
+    folder = tmp_path / "memory"
+    folder.mkdir()
+    monkeypatch.setattr(memory_file, "FOLDER", folder)
+    return folder
 
 
 def reopened(store: SigningStore, path: Path) -> SigningStore:
@@ -135,19 +156,21 @@ def test_a_new_store_is_on_the_disk_before_it_is_used(tmp_path: Path, monkeypatc
     monkeypatch.setattr(os, "fsync", lambda _: synced.append(path.read_bytes()))
     store = SigningStore.open(path)
     assert synced == [b"SKYSIGN1" + bytes(4088)]
-    store = reopened(store, path)
-    assert len(synced) == 1
+    store.own_stamp = 7
     store.close()
+    assert SigningStore.open(path).own_stamp == 7
+    assert [synced[1][8], len(synced)] == [7, 2]
 
 
 def test_a_closed_store_lets_go_of_its_file(tmp_path: Path) -> None:
     path = tmp_path / "a.stamps"
     store = SigningStore.open(path)
     store.remember((1, 1, 1), 7)
-    assert str(path) in Path("/proc/self/maps").read_text()
+    assert in_memory()
     store.close()
     store.close()
-    assert str(path) not in Path("/proc/self/maps").read_text()
+    assert not in_memory()
+    assert not [one for one in open_files() if one == str(path)]
     # What comes after is known to this process, and to nobody else.
     assert store.remember((1, 1, 1), 8)
     assert store.remember((2, 1, 1), 9)
@@ -166,4 +189,155 @@ def test_stamps_kept_by_an_earlier_version_are_understood(tmp_path: Path) -> Non
     store = SigningStore.open(path)
     assert store.own_stamp == 1000
     assert [store.last_stamp(stream) for stream in ((7, 2, 1), (255, 10, 154))] == [2000, 3000]
+    store.close()
+
+
+def killed(store: SigningStore) -> None:
+    """What is left of a store when its process is killed: memory and file as they are, and nothing locked."""
+    assert store._file is not None
+    os.close(store._file[1])
+    store._file = None
+
+
+def test_a_stamp_stored_is_there_after_a_kill_and_not_before_on_the_disk(tmp_path: Path) -> None:
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.own_stamp = 4
+    assert store.remember((1, 1, 1), 5)
+    before = path.read_bytes()
+    assert before == b"SKYSIGN1" + bytes(4088)
+    killed(store)
+    store = SigningStore.open(path)
+    assert (store.own_stamp, store.last_stamp((1, 1, 1))) == (4, 5)
+    store.close()
+    assert SigningStore.open(path).own_stamp == 4
+
+
+def test_what_was_saved_outlives_the_memory(tmp_path: Path, own_memory: Path) -> None:
+    """A power cut: the file as it was saved last."""
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.own_stamp = 4
+    assert store.remember((1, 1, 1), 5)
+    store.save()
+    assert store.remember((1, 1, 1), 6)
+    killed(store)
+    for left in own_memory.iterdir():
+        left.unlink()
+    store = SigningStore.open(path)
+    assert (store.own_stamp, store.last_stamp((1, 1, 1))) == (4, 5)
+    store.close()
+    store.save()  # as closed
+
+
+@pytest.mark.parametrize(("own_in_file", "own"), [(9, 10), (12, 12)])
+def test_the_newer_of_memory_and_file_counts_stream_by_stream(own_in_file: int, own: int, tmp_path: Path) -> None:
+    """A file restored or used without shared memory since, beside what a killed process left."""
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.own_stamp = 10
+    for stream, stamp in (((1, 1, 1), 11), ((2, 1, 1), 22)):
+        assert store.remember(stream, stamp)
+    killed(store)
+    words = [0x314E474953594B53, own_in_file, 0x01020101, 33, 0x01030101, 44, 0x01010101, 10, 0x01040101, 0]
+    path.write_bytes(b"".join(word.to_bytes(8, sys.byteorder) for word in words).ljust(4096, b"\0"))
+    store = SigningStore.open(path)
+    assert store.own_stamp == own
+    assert [store.last_stamp((k, 1, 1)) for k in (1, 2, 3, 4)] == [11, 33, 44, 0]
+    store = reopened(store, path)
+    assert [store.last_stamp((k, 1, 1)) for k in (1, 2, 3, 4)] == [11, 33, 44, 0]
+    store.close()
+
+
+def test_the_memory_is_private_and_whoever_clears_it_away_does_no_harm(tmp_path: Path, own_memory: Path) -> None:
+    store = SigningStore.open(tmp_path / "a.stamps")
+    (memory,) = own_memory.iterdir()
+    assert memory.stat().st_mode & 0o777 == 0o600
+    assert len([one for one in open_files() if one == str(memory)]) == 1
+    store.own_stamp = 10
+    memory.unlink()
+    store.close()
+    assert SigningStore.open(tmp_path / "a.stamps").own_stamp == 10
+
+
+def test_a_new_file_knows_nothing_of_an_old_ones_memory(tmp_path: Path, own_memory: Path) -> None:
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.own_stamp = 10
+    killed(store)
+    path.write_bytes(b"")  # the same file to the system, emptied
+    assert len(in_memory()) == 1
+    store = SigningStore.open(path)
+    assert store.own_stamp == 0
+    store.close()
+
+
+def foreign(left: Path) -> None:
+    os.chown(left, 12345, 12345)
+
+
+def a_link(left: Path) -> None:
+    left.unlink()
+    left.symlink_to("/etc/passwd")
+
+
+def of_another_size(left: Path) -> None:
+    left.write_bytes(b"x" * 100)
+
+
+def a_folder(left: Path) -> None:
+    left.unlink()
+    left.mkdir()
+
+
+@pytest.mark.parametrize("spoil", [foreign, a_link, of_another_size, a_folder])
+def test_memory_that_is_not_ours_is_left_alone_and_the_file_itself_used(
+    spoil: Callable[[Path], None], tmp_path: Path, own_memory: Path
+) -> None:
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.own_stamp = 10
+    killed(store)
+    (left,) = own_memory.iterdir()
+    try:
+        spoil(left)
+    except PermissionError:
+        pytest.skip("only root gives files away")
+    before = left.lstat()
+    store = SigningStore.open(path)
+    assert store.own_stamp == 0
+    store.own_stamp = 20
+    assert path.read_bytes()[8] == 20  # at once: the file itself is mapped
+    store.save()
+    store.close()
+    assert (left.lstat().st_ino, left.lstat().st_size) == (before.st_ino, before.st_size)
+    assert SigningStore.open(path).own_stamp == 20
+
+
+def test_without_shared_memory_the_file_itself_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory_file, "FOLDER", tmp_path / "none")
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.own_stamp = 10
+    assert path.read_bytes()[8] == 10
+    store = reopened(store, path)
+    assert store.own_stamp == 10
+    store.close()
+
+
+def test_stamps_that_cannot_be_written_out_stay_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.stamps"
+    store = SigningStore.open(path)
+    store.own_stamp = 10
+
+    def broken(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", broken)
+        with pytest.raises(OSError, match="Input/output"):
+            store.close()
+    assert not [one for one in open_files() if one == str(path)]
+    store = SigningStore.open(path)
+    assert store.own_stamp == 10
     store.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -165,6 +166,9 @@ def test_told_to_stop_in_the_air_it_flies_the_contingency(tmp_path: Path) -> Non
         events = Events()
         flight = start_flight(vehicle.request(plan, "px4", SPEEDUP), on_event=events, run_dir=tmp_path / "run")
         events.in_cruise(3.0)
+        locked = re.search(r"VmLck:\s+(\d+) kB", Path(f"/proc/{flight.pid}/status").read_text())
+        assert locked is not None
+        assert (int(locked[1]) > 0) == ("memory: locked" in (tmp_path / "run" / "streamer.log").read_text())
         os.kill(flight.pid, signal.SIGTERM)
         result = flight.wait(60.0)
     assert (result.state, result.exit_code) == (FlightState.CONTINGENCY, 4)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import gc
 import json
 import os
@@ -26,11 +28,13 @@ from link.clock import FlightClock, PacedClock
 from link.errors import EndpointError, FlightRequestError
 from link.request import FlightRequest
 from link.signing import SigningKey
+from link.signing_store import SigningStore
 from link.streamer import (
     EXIT_FAULT,
     EXIT_REFUSED_REQUEST,
     Recorder,
     Streamer,
+    lock_memory,
     main,
     make_codecs,
     open_links,
@@ -121,11 +125,12 @@ class Core:
 
 @pytest.fixture
 def quiet_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """What a streamer does to its process is undone: signals, the collector, priority."""
+    """What a streamer does to its process is undone: signals, the collector, priority, memory."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     threshold, interval_s = gc.get_threshold(), sys.getswitchinterval()
     monkeypatch.setattr(streamer_module, "FlightCore", Core)
     monkeypatch.setattr(streamer_module, "raise_priority", lambda *_: "as it was")
+    monkeypatch.setattr(streamer_module, "lock_memory", lambda: "as ever")
     yield
     for number, handler in handlers.items():
         signal.signal(number, handler)
@@ -643,7 +648,7 @@ def test_a_flight_from_its_folder_ends_with_the_flights_own_code(
     (tmp_path / "request.json").write_text(json.dumps(bench.request.to_document()))
     monkeypatch.setattr(sys, "argv", ["link.streamer", str(tmp_path)])
     assert main() == 4
-    assert "priority: as it was\n" in capfd.readouterr().err
+    assert "priority: as it was; memory: as ever\n" in capfd.readouterr().err
     bench.close()
 
 
@@ -740,6 +745,72 @@ def test_real_time_where_permitted_a_better_nice_value_else_and_otherwise_as_it_
     assert nice == [-10]
     monkeypatch.setattr(os, "nice", refuse)
     assert raise_priority() == "ordinary"
+
+
+def test_memory_is_locked_as_far_as_it_is_used_where_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Libc:
+        def __init__(self, *answers: int) -> None:
+            self.answers, self.asked = list(answers), []  # type: ignore[var-annotated]
+
+        def mlockall(self, flags: int) -> int:
+            self.asked.append(flags)
+            ctypes.set_errno(errno.EPERM)
+            return self.answers.pop()
+
+    libc = Libc(-1, 0)
+    monkeypatch.setattr(ctypes, "CDLL", lambda name, *, use_errno: libc if use_errno and name is None else None)
+    assert lock_memory() == "locked"
+    assert lock_memory() == "not locked (Operation not permitted)"
+    assert libc.asked == [1 | 4] * 2  # MCL_CURRENT, MCL_ONFAULT: what is there, not all that might be
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: object())
+    assert lock_memory().startswith("not locked (")
+
+
+def test_stamps_are_saved_beside_the_flight_and_let_go_of_at_its_end(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """By the thread that may wait for a disk; one that cannot be written neither stops it nor the others."""
+    assert streamer_module.SAVE_EVERY_S == 1.0
+    monkeypatch.setattr(streamer_module, "SAVE_EVERY_S", 0.02)
+    stores = [SigningStore.open(tmp_path / name) for name in ("a", "b")]
+    saved_by: list[int] = []
+
+    def broken() -> None:
+        saved_by.append(threading.get_ident())
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(stores[0], "save", broken)
+    recorder = Recorder(tmp_path, None, 0.0, stores)
+    stores[1].own_stamp = 7
+    until = time.monotonic() + 20.0
+    while len(saved_by) < 3 and time.monotonic() < until:
+        recorder.event(FlightEvent(1, EventKind.ALARM, 2.0, None, "2026-11-22T09:00:00Z", FlightState.CRUISE, {}))
+        time.sleep(0.01)
+    recorder.close()
+    assert len(saved_by) >= 3
+    assert threading.get_ident() not in saved_by
+    assert (tmp_path / "b").read_bytes()[8] == 7
+    assert recorder.dropped == 0
+    for store in stores:
+        store.close()
+
+
+def test_a_streamer_lets_go_of_its_stamps(tmp_path: Path, quiet_process: None) -> None:
+    key = tmp_path / "key"
+    key.write_bytes(bytes(range(32)))
+    key.chmod(0o600)
+    bench = Bench(tmp_path, signing_key=f"file:{key}", signing_state=str(tmp_path / "stamps"))
+    for store in bench.streamer.stores:
+        store.own_stamp = 7
+    bench.streamer.close()
+    bench.close()
+    stamps = sorted((tmp_path / "stamps").iterdir())
+    assert [path.name for path in stamps] == ["station-241.stamps", "station-242.stamps"]
+    assert [path.read_bytes()[8] for path in stamps] == [7, 7]
+    again = [SigningStore.open(path) for path in stamps]
+    assert [store.own_stamp for store in again] == [7, 7]
+    for store in again:
+        store.close()
 
 
 def test_who_writes_the_logs_is_as_urgent_as_the_flight_or_would_hold_it_up(
