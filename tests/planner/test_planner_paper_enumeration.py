@@ -12,8 +12,9 @@ import pytest
 from planner_missions import make_problem, paper_problem
 
 from planner import InfeasibleError, Problem, certify
+from planner.discs import covering_stations
 from planner.joint import Effort, plan_joint
-from planner.lens import adjacent_pairs, covering_stations
+from planner.lens import adjacent_pairs
 from planner.paper.am import plan_paper
 from planner.paper.enumeration import (
     Evaluation,

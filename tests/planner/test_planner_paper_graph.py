@@ -11,7 +11,8 @@ import pytest
 from planner_missions import make_problem, paper_problem
 
 from planner import InfeasibleError, Problem, ProblemError
-from planner.lens import adjacent_pairs, covering_stations
+from planner.discs import covering_stations
+from planner.lens import adjacent_pairs
 from planner.paper.station_graph import check_sequence, shortest_sequence, weighted_edges
 
 
