@@ -34,6 +34,7 @@ def imported_packages(path: Path) -> set[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", sorted(ALLOWED))
 def test_import_direction(package: str) -> None:
     files = sorted((ROOT / package).rglob("*.py"))
@@ -43,6 +44,7 @@ def test_import_direction(package: str) -> None:
         assert ours <= ALLOWED[package], f"{path.relative_to(ROOT)} imports {sorted(ours - ALLOWED[package])}"
 
 
+@pytest.mark.slow
 def test_planner_and_simulator_have_no_ui_or_store() -> None:
     """The planner does no I/O and knows no clock; the simulator brings no web server."""
     banned = {

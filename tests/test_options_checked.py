@@ -200,6 +200,7 @@ def outcome(document: Document) -> MissionInfeasible | None:
     return None
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.integers(0, 10**6))
 def test_random_missions_are_flown_or_explained(seed: int) -> None:

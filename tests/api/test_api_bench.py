@@ -142,6 +142,7 @@ def test_a_mission_that_should_have_a_plan_and_has_none_ends_with_1(
     assert "FAILED: every planning method gave up" in outcome.out
 
 
+@pytest.mark.slow
 def test_long_chains_and_large_maps_are_measured(cli: Cli) -> None:
     outcome = cli("bench", "planner", "--segments", "12", "--routing", "200", "--seed", "3", "--json")
     assert outcome.code == 0, outcome.err

@@ -21,6 +21,7 @@ from tests.api.conftest import Outcome
 Cli = Callable[..., Outcome]
 
 
+@pytest.mark.slow
 def test_the_wire_layers_rates_come_beside_their_reference(cli: Cli) -> None:
     outcome = cli("bench", "link", "--only", "rates", "--json")
     assert (outcome.code, outcome.err) == (0, "")

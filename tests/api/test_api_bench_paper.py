@@ -84,6 +84,7 @@ def units_told(err: str) -> list[str]:
     return [line.split(": ", 1)[1] for line in err.splitlines() if line.startswith("1 of 1: ")]
 
 
+@pytest.mark.slow
 def test_both_tables_come_with_this_planner_and_a_run_goes_on_where_it_was(
     cli: Cli, folder: Path, tmp_path: Path
 ) -> None:

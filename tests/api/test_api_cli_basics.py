@@ -143,6 +143,7 @@ def test_a_place_that_cannot_be_written_is_bad_input(tmp_path: Path, place: str)
     assert str(tmp_path / place) in error.value.block()
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told_and_leaves_nothing() -> None:
     with open("/dev/full", "wb") as full:
         done = subprocess.run(

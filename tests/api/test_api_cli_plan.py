@@ -138,6 +138,7 @@ def test_many_faults_are_all_told(cli: Cli) -> None:
 # -- handovers --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_schedule_in_every_form(cli: Cli, plan_file: Path, tmp_path: Path) -> None:
     plan = json.loads(plan_file.read_bytes())
     table = cli("handovers", plan_file)
@@ -221,6 +222,7 @@ def test_a_rate_out_of_range_is_told(cli: Cli, plan_file: Path, rate: str) -> No
     assert "0.1 to 200" in outcome.err
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_fault(plan_file: Path) -> None:
     command = subprocess.Popen(
         [*SKYRELAY, "setpoints", str(plan_file), "--rate", "50"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
@@ -238,6 +240,7 @@ def test_a_reader_that_goes_away_is_no_fault(plan_file: Path) -> None:
 # -- fly, before anything flies ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

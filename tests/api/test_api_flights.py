@@ -237,6 +237,7 @@ def test_a_flight_outlives_the_service_which_finds_it_again(tmp_path: Path) -> N
                     attach(folder).kill()
 
 
+@pytest.mark.slow
 def test_a_flight_nobody_answers_can_be_given_up(client: httpx.Client, planned: dict[str, Any]) -> None:
     for name, port in (("west", 9), ("east", 9)):
         client.put(f"/v1/links/{name}", json={"url": f"udpout:127.0.0.1:{port}"})
@@ -280,6 +281,7 @@ def test_a_flight_that_must_not_be_is_refused_and_not_kept(
     assert client.get("/v1/flights", params={"limit": 200}).json()["items"] == before
 
 
+@pytest.mark.slow
 def test_a_flight_is_asked_for_with_the_options_of_the_command_line(
     client: httpx.Client, planned: dict[str, Any], server: Server
 ) -> None:
@@ -306,6 +308,7 @@ def test_a_vehicle_without_a_link_to_a_station_is_told(client: httpx.Client, pla
     assert any("east" in error["where"] for error in problem["errors"])
 
 
+@pytest.mark.slow
 def test_a_link_the_streamer_refuses_ends_the_flight_and_frees_the_vehicle(
     client: httpx.Client, planned: dict[str, Any]
 ) -> None:
@@ -342,6 +345,7 @@ def test_telemetry_to_a_foreign_page_is_refused(client: httpx.Client) -> None:
 Cli = Callable[..., Outcome]
 
 
+@pytest.mark.slow
 def test_a_flight_of_the_service_is_spoken_to_from_the_command_line(
     client: httpx.Client, planned: dict[str, Any], server: Server, cli: Cli
 ) -> None:

@@ -63,6 +63,7 @@ def count(client: httpx.Client) -> int:
 # -- sending ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_mission_is_stored_planned_and_its_plan_is_sound(client: httpx.Client) -> None:
     answer = client.post("/v1/missions", json=GOOD)
     assert answer.status_code == 201
@@ -168,6 +169,7 @@ def test_a_bad_key_is_refused(client: httpx.Client, key: str) -> None:
 # -- listing, versions, archive ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_pages_hold_every_mission_once_while_new_ones_come(client: httpx.Client) -> None:
     made = [client.post("/v1/missions", json={**GOOD, "name": f"page {k}"}).json()["id"] for k in range(7)]
     seen: list[str] = []

@@ -25,6 +25,7 @@ def problem_of(answer: httpx.Response, status: int) -> dict[str, Any]:
 # -- errors -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "path", "status"),
     [

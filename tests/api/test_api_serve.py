@@ -46,6 +46,7 @@ def gone(pids: set[int], timeout_s: float = 5.0) -> bool:
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
 def test_it_ends_when_asked_and_leaves_no_process(tmp_path: Path, number: int, code: int) -> None:
     server = Server(tmp_path / "data")
@@ -58,6 +59,7 @@ def test_it_ends_when_asked_and_leaves_no_process(tmp_path: Path, number: int, c
     assert gone(workers)
 
 
+@pytest.mark.slow
 def test_it_ends_in_time_with_a_watcher_and_a_half_sent_request(tmp_path: Path) -> None:
     server = Server(tmp_path / "data", "--log-level", "debug")
     heard: list[bytes] = []
@@ -82,6 +84,7 @@ def test_it_ends_in_time_with_a_watcher_and_a_half_sent_request(tmp_path: Path) 
         half.close()
 
 
+@pytest.mark.slow
 def test_workers_end_when_the_service_is_killed_outright(tmp_path: Path) -> None:
     server = Server(tmp_path / "data")
     with httpx.Client(base_url=server.address) as client:
@@ -94,6 +97,7 @@ def test_workers_end_when_the_service_is_killed_outright(tmp_path: Path) -> None
     server.stop()
 
 
+@pytest.mark.slow
 def test_what_was_answered_survives_a_kill_and_is_planned_afterwards(tmp_path: Path) -> None:
     server = Server(tmp_path / "data")
     with httpx.Client(base_url=server.address) as client:
@@ -130,6 +134,7 @@ def test_it_does_not_open_itself_to_the_network_unasked(tmp_path: Path, host: st
     assert "--expose" in outcome.err
 
 
+@pytest.mark.slow
 def test_only_this_machine_can_reach_it(tmp_path: Path) -> None:
     server = Server(tmp_path / "data")
     port = int(server.address.rsplit(":", 1)[1])
@@ -160,6 +165,7 @@ def test_bad_settings_name_the_variable(tmp_path: Path) -> None:
     assert "SKYRELAY_PLANNER_PROCESSES" in outcome.err
 
 
+@pytest.mark.slow
 def test_the_log_can_be_read_by_machines(tmp_path: Path) -> None:
     import json
 
@@ -172,6 +178,7 @@ def test_the_log_can_be_read_by_machines(tmp_path: Path) -> None:
     server.stop()
 
 
+@pytest.mark.slow
 def test_data_of_the_service_is_its_owners_alone(tmp_path: Path) -> None:
     server = Server(tmp_path / "data")
     server.stop()

@@ -146,6 +146,7 @@ PLACES = st.tuples(st.floats(-89, 89), LONS)
 HEIGHTS = st.floats(-400, 9000)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(
     origin=PLACES,

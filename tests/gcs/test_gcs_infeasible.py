@@ -222,6 +222,7 @@ FURTHER: list[tuple[str, dict[str, Any], set[str]]] = [
 FIXABLE = [*((case[0], case[1], set()) for case in INFEASIBLE), *FURTHER]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "document", "kinds"), FIXABLE, ids=[case[0] for case in FIXABLE])
 def test_every_fix_offered_works_and_is_the_least(name: str, document: dict[str, Any], kinds: set[str]) -> None:
     """Each remedy, followed to the letter, makes a plan the checker accepts; with a hundredth less there is none."""

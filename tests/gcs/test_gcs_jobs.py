@@ -89,6 +89,7 @@ def test_errors_cross_over_whole(pool: WorkerPool) -> None:
     assert pool.restarts == 0
 
 
+@pytest.mark.slow
 def test_a_hung_worker_is_killed_and_the_mission_planned_otherwise(pool: WorkerPool) -> None:
     """A stopped process is as hung as one can be: it answers nothing and dies of nothing but SIGKILL."""
     (hung,) = pool.pids
@@ -140,6 +141,7 @@ def test_cancelled_at_work_and_in_the_queue(pool: WorkerPool) -> None:
     wait_for(lambda: not alive(pid))
 
 
+@pytest.mark.slow
 def test_stop_ends_every_process_and_answers_everybody() -> None:
     pool = WorkerPool(2)
     pool.start()
@@ -192,6 +194,7 @@ def stop_workers(pool: PlanningPool) -> None:
         os.kill(pid, signal.SIGSTOP)
 
 
+@pytest.mark.slow
 def test_missions_in_the_store_get_planned(url: str) -> None:
     changes: list[MissionRecord] = []
     with Store(url) as store:
@@ -219,6 +222,7 @@ def test_missions_in_the_store_get_planned(url: str) -> None:
         assert progress == sorted(progress)
 
 
+@pytest.mark.slow
 def test_cancel_through_the_store(url: str) -> None:
     with Store(url) as store:
         pool = PlanningPool(store, processes=1)

@@ -66,6 +66,7 @@ def test_garbage_does_not_make_an_endless_answer() -> None:
     assert len(str(caught.value)) < 10_000
 
 
+@pytest.mark.slow
 def test_garbage_on_a_large_map_is_answered_soon() -> None:
     """Twenty thousand strangers excluded from a map of twenty thousand: linear work, and a guess for the first few."""
     stations = [{**GOOD["stations"][0], "id": f"S{k}"} for k in range(20_000)]
@@ -289,6 +290,7 @@ JSON_VALUES = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=200)
 @given(JSON_VALUES)
 def test_no_document_does_worse_than_a_mission_error(value: object) -> None:

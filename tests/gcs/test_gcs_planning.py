@@ -197,6 +197,7 @@ def _leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return found or [path]
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(st.data())
 def test_no_value_of_a_plan_can_be_changed_unnoticed(flat: Plan, data: st.DataObject) -> None:

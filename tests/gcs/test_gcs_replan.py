@@ -64,6 +64,7 @@ def on_leg(leg: int, into_s: float) -> float:
     return into_s if leg == 0 else wide_plan().handovers[leg - 1].time_s + into_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [(0, 5.0), (1, 13.0), (3, 12.0)])
 def test_a_flight_in_motion_keeps_position_velocity_and_acceleration(place: tuple[int, float]) -> None:
     old, join_s = wide_plan(), on_leg(*place)
@@ -73,6 +74,7 @@ def test_a_flight_in_motion_keeps_position_velocity_and_acceleration(place: tupl
     assert new.plan.station_ids[-1] == old.station_ids[-1]
 
 
+@pytest.mark.slow
 def test_on_the_earth_the_plane_stays_the_flights_own() -> None:
     old = earth_plan()
     for join_s in (300.0, 0.5 * old.mission_time_s, 0.8 * old.mission_time_s):
@@ -113,6 +115,7 @@ def test_a_flight_that_stands_goes_on_from_rest(place: tuple[int, float]) -> Non
         assert np.linalg.norm(flown - here, axis=-1).min() < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [0.05, 0.2, 1.0, 5.0, "1e-7 after a joint", "0.01 after a joint"])
 def test_no_piece_is_left_too_short_for_the_rounding_of_its_coordinates(after: float | str) -> None:
     """Right after the launch and right after a joint, 60 km from the plane's origin: moving it joins a little later."""
@@ -160,6 +163,7 @@ def test_endurance_counts_from_the_launch() -> None:
     assert refusal.value.reason == "limits"
 
 
+@pytest.mark.slow
 def test_a_planning_process_takes_the_order_and_answers_with_the_joined_plan() -> None:
     sent: list[dict[str, Any]] = []
 

@@ -92,6 +92,7 @@ def test_elevation_narrows_the_overlap() -> None:
     assert handover.overlap_end_s == pytest.approx(reach / 10.0, abs=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.floats(-75, 75), st.floats(-180, 179), st.floats(0, 360), st.floats(2000, 60_000))
 def test_windows_on_the_earth_end_where_the_true_range_does(

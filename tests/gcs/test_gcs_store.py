@@ -464,6 +464,7 @@ def test_a_journal_waits_out_a_locked_database(tmp_path: Path, store: Store) -> 
     assert [e.sequence for e in store.flights.events(flight.id)] == [1, 2, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kill_after", [1, 7, 23, 40])
 def test_what_was_acknowledged_survives_kill_9(tmp_path: Path, kill_after: int) -> None:
     """A writer is killed in the middle of its work: every commit it told of is there, and nothing is torn."""

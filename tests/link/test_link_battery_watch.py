@@ -65,6 +65,7 @@ def test_a_battery_that_will_not_last_is_told_while_there_is_time(autopilot: str
     assert len(told) < 8  # again only where it has become worse
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_battery_that_lasts_is_not_spoken_of(autopilot: str) -> None:
     one = in_cruise(autopilot)

@@ -62,6 +62,7 @@ def test_another_way_sends_once_its_proof_is_newer_by_the_patience() -> None:
     assert link.choose(0.4) == ""
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_dead_way_of_a_station_is_left_for_its_other_one_before_anything_is_missed(autopilot: str) -> None:
     """The way that sends dies in cruise: within half a second the other sends, the station stays in control."""

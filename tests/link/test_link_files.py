@@ -126,6 +126,7 @@ def read_with_mavutil(path: Path) -> list[object]:
     return messages
 
 
+@pytest.mark.slow
 def test_px4_log_read_back_by_mavutil(tmp_path: Path) -> None:
     plan = relay_plan()
     path = tmp_path / "plan.tlog"
@@ -152,6 +153,7 @@ def test_px4_log_read_back_by_mavutil(tmp_path: Path) -> None:
         assert sequence == [i % 256 for i in range(len(sequence))]
 
 
+@pytest.mark.slow
 def test_ardupilot_log_is_in_its_own_frame_from_the_origin_it_names(tmp_path: Path) -> None:
     plan = relay_plan()
     path = tmp_path / "plan.tlog"

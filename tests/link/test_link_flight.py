@@ -160,6 +160,7 @@ def test_ardupilot_is_told_whom_to_hear_in_an_order_that_keeps_us_in() -> None:
     assert [one.vehicle.parameters[name] for name in order] == [243, 241, 1]
 
 
+@pytest.mark.slow
 def test_a_vehicle_locked_to_others_is_refused_or_taken_and_given_back_as_it_was() -> None:
     locked = ("MAV_GCS_SYSID=200", "MAV_OPTIONS=1")
     reason = refusal(flight("ardupilot", config={"parameters": locked}))
@@ -204,6 +205,7 @@ def test_an_acknowledged_mode_that_is_not_taken_is_not_believed() -> None:
 # -- in flight --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @BOTH
 def test_heartbeats_and_control_come_from_the_station_in_control_alone_and_end_with_the_flight(autopilot: str) -> None:
     one = flight(autopilot)
@@ -224,6 +226,7 @@ def test_heartbeats_and_control_come_from_the_station_in_control_alone_and_end_w
     assert one.sent[-1][0] <= one.said("result")[0].time_s
 
 
+@pytest.mark.slow
 @BOTH
 def test_hold_stops_on_the_path_and_resume_goes_on(autopilot: str) -> None:
     one = in_cruise(autopilot, 12.0)
@@ -246,6 +249,7 @@ def test_hold_stops_on_the_path_and_resume_goes_on(autopilot: str) -> None:
     assert 28.0 < shifts[-1] < 40.0
 
 
+@pytest.mark.slow
 @BOTH
 def test_abort_goes_back_along_the_path_handing_over_backwards_and_lands_at_the_start(autopilot: str) -> None:
     one = in_cruise(autopilot, 25.0)
@@ -268,6 +272,7 @@ def test_land_lands_here(autopilot: str) -> None:
     assert one.states[-2:] == ["landing", "contingency"]
 
 
+@pytest.mark.slow
 @BOTH
 def test_the_flight_stands_at_the_time_it_is_authorised_to_and_goes_on_with_the_next_word(autopilot: str) -> None:
     one = in_cruise(autopilot, 1.0, request={"authorised_until_s": 15.0})
@@ -277,6 +282,7 @@ def test_the_flight_stands_at_the_time_it_is_authorised_to_and_goes_on_with_the_
     assert one.run(limit_s=300.0) is FlightState.COMPLETED
 
 
+@pytest.mark.slow
 @BOTH
 def test_nobody_there_means_as_far_as_authorised_then_a_hold_then_the_contingency(autopilot: str) -> None:
     one = in_cruise(autopilot, 1.0, request={"authorised_until_s": 15.0, "hold_limit_s": 20.0})
@@ -298,6 +304,7 @@ def test_a_hold_asked_for_by_a_person_who_is_gone_ends_too(autopilot: str) -> No
     assert one.core.state is FlightState.RETURNING
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_slow_vehicle_slows_its_reference_and_stays_on_the_path(autopilot: str) -> None:
     one = in_cruise(autopilot, 1.0, config={"max_speed_m_s": 9.0})
@@ -324,6 +331,7 @@ def test_a_hung_process_within_the_autopilots_patience_goes_on(autopilot: str) -
     assert not one.said("alarm")
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_stream_that_lapsed_is_not_taken_up_again_until_a_person_says_so(autopilot: str) -> None:
     one = in_cruise(autopilot, 12.0, request={"hold_limit_s": 1000.0})
@@ -360,6 +368,7 @@ def test_px4_that_still_shows_offboard_after_a_lapse_is_told_to_hold() -> None:
     assert one.vehicle.personality.mode_name == "HOLD"
 
 
+@pytest.mark.slow
 @BOTH
 def test_without_a_word_the_autopilots_own_return_is_the_last_resort(autopilot: str) -> None:
     one = in_cruise(autopilot, 12.0, request={"hold_limit_s": 15.0})
@@ -395,6 +404,7 @@ def test_a_restarted_autopilot_gets_nothing_more(autopilot: str) -> None:
     assert not [t for t, _, _, _ in one.sent_messages(*kinds) if t > stopped]
 
 
+@pytest.mark.slow
 @BOTH
 def test_somebody_elses_targets_are_noticed_within_a_second(autopilot: str) -> None:
     # On ArduPilot the range of ids keeps the stranger out: nothing to notice.
@@ -490,6 +500,7 @@ def test_the_lead_follows_the_link_and_steps_with_the_station() -> None:
 # -- a vehicle that cannot follow -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_vehicle_that_tops_out_silently_never_leaves_coverage(autopilot: str) -> None:
     """The stock vehicle's 10.5 m/s against the plan's 15: slower, told, re-timed; range by its own position."""

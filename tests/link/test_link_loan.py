@@ -68,6 +68,7 @@ def test_the_covered_safe_points_become_rally_points_and_go_again_after_the_flig
     assert not one.said("alarm")
 
 
+@pytest.mark.slow
 @BOTH
 def test_what_the_vehicle_held_comes_back_after_a_flight(autopilot: str) -> None:
     one = flight_with(autopilot, rally=(OLD,))

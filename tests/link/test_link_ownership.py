@@ -54,6 +54,7 @@ def obeyed_from_its_holder(one: VirtualFlight) -> None:
 # -- whole flights ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @FIRMWARE
 @pytest.mark.parametrize("links", ["good", "bad"])
 def test_a_flight_hears_one_station_at_a_time_and_is_given_back(firmware: str, links: str) -> None:
@@ -92,6 +93,7 @@ def test_an_older_firmware_is_refused_another_way_with_the_only_one_it_has() -> 
     assert alone.vehicle.parameters["SYSID_MYGCS"] == alone.core.context.system_ids["s1"]
 
 
+@pytest.mark.slow
 @FIRMWARE
 def test_an_abort_hands_back_over_the_same_borders_and_gives_back(firmware: str) -> None:
     one = by_parameter(firmware, 2)
@@ -119,6 +121,7 @@ def test_a_dead_links_neighbour_opens_the_vehicle_with_the_vehicles_own_id(firmw
     assert given_back(one)
 
 
+@pytest.mark.slow
 @FIRMWARE
 def test_answers_that_are_lost_leave_two_candidates_and_the_one_obeyed_owns(firmware: str) -> None:
     """No PARAM_VALUE comes back in flight: nobody is told what was taken, and still one is obeyed throughout."""
@@ -131,6 +134,7 @@ def test_answers_that_are_lost_leave_two_candidates_and_the_one_obeyed_owns(firm
         assert one.core.airborne.relay.leg == 1  # tried, and obeyed
 
 
+@pytest.mark.slow
 @FIRMWARE
 def test_writes_that_are_not_taken_leave_the_old_station_in_control(firmware: str) -> None:
     name = "SYSID_MYGCS" if firmware else "MAV_GCS_SYSID_HI"

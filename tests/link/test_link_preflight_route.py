@@ -79,6 +79,7 @@ def test_a_handover_behind_which_no_stop_is_in_time_is_told_with_what_would_do()
     assert slower.required == "at least 7.1 s"
 
 
+@pytest.mark.slow
 def test_where_there_is_room_it_passes_and_the_flight_does_stop_in_time() -> None:
     plan = relay_plan(2)
     (check,) = judge_stops(plan, 1.0)
@@ -94,6 +95,7 @@ def test_where_there_is_room_it_passes_and_the_flight_does_stop_in_time() -> Non
     assert not one.said("alarm", what="lapse")
 
 
+@pytest.mark.slow
 def test_a_failure_right_after_a_handover_without_room_takes_the_vehicle_as_far_out_as_was_told() -> None:
     plan = tight_plan()
     (check,) = judge_stops(plan, 1.0)

@@ -90,6 +90,7 @@ def test_a_new_destination_is_flown_to_without_a_gap_or_a_jump(autopilot: str) -
         assert accepted.station == accepted.holder_when_sent
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_station_that_died_is_flown_around_by_one_in_reserve(autopilot: str) -> None:
     """The flight waits before the dead station's range; from rest, a new plan leads on through the reserve."""
@@ -127,6 +128,7 @@ def test_a_station_that_died_is_flown_around_by_one_in_reserve(autopilot: str) -
     assert one.said("result")[0].data["plan_sha256"] == new.plan.plan_sha256
 
 
+@pytest.mark.slow
 def test_after_a_replan_the_way_back_is_the_way_flown() -> None:
     """An abort on the new plan leads back over the join to where the flight began."""
     one, join_s = fly_to(flight("px4"), 2.0), FIRST_JOIN_S
@@ -155,6 +157,7 @@ def test_over_a_late_link_the_lead_is_joined_too() -> None:
     assert one.cross_track_m().size
 
 
+@pytest.mark.slow
 def test_a_plan_that_does_not_fit_is_refused_and_the_flight_goes_on() -> None:
     one = fly_to(flight("px4"), 3.0)
     core, old = one.core, wide_plan()

@@ -34,6 +34,7 @@ def test_the_page_is_the_table() -> None:
     assert text == table.page(), "run `python tests/fault_outcomes.py > docs/faults.md`"
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize(
     "row", [r for r in table.all_rows() if r.specification in SAMPLE], ids=lambda r: r.specification

@@ -102,6 +102,7 @@ def handover_gaps_s(autopilot: str, stations: int, seed: int) -> list[float]:
     return gaps
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_handover_costs_no_setpoint(autopilot: str) -> None:
     assert max(handover_gaps_s(autopilot, 3, 1)) <= 0.05 + 1e-6
@@ -255,6 +256,7 @@ def owners_confirmed(one: VirtualFlight, faults: tuple[str, ...], loss: float, s
     return confirmed, false
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("answer", ["denied", "accepted without effect"])
 def test_no_false_owner_where_the_answer_is_wrong(autopilot: str, answer: str) -> None:

@@ -50,6 +50,7 @@ def test_every_small_change_is_made_once_and_undone() -> None:
     assert len(codes) == 2  # 2 and 0
 
 
+@pytest.mark.slow
 def test_what_is_called_equivalent_exists_and_has_a_reason() -> None:
     listed = json.loads(mutation.EQUIVALENT.read_text(encoding="utf-8"))
     assert set(listed) <= set(mutation.MODULES)

@@ -158,6 +158,7 @@ def unattended(one: VirtualFlight, draw: random.Random) -> float:
     return standing_s - one.core.context.launched_s - until_s
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_hung_streamer_sends_nothing_more(autopilot: str) -> None:
     assert max(at_moments(in_cruise(autopilot), 10, 3, hung)) <= 0.5
@@ -282,6 +283,7 @@ def killed(one: VirtualFlight, draw: random.Random) -> str:
     return str(one.vehicle.personality.mode_name)
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_killed_streamer_is_followed_by_the_failsafe_that_was_set(autopilot: str) -> None:
     assert set(at_moments(in_cruise(autopilot), 8, 10, killed)) == {FAILSAFE[autopilot]}
@@ -320,6 +322,7 @@ def taken_up_again(one: VirtualFlight, draw: random.Random) -> int:
     return len(sent_after(one, restarted_s))
 
 
+@pytest.mark.slow
 @BOTH
 def test_nothing_is_taken_up_again_unasked(autopilot: str) -> None:
     assert sum(at_moments(in_cruise(autopilot, hold_limit_s=300.0), 4, 12, taken_up_again)) == 0
@@ -364,6 +367,7 @@ def handovers_under_jumps(
     return [(round(e.time_s, 3), str(e.data["event"])) for e in one.said("handover")]
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_wall_clock_that_jumps_by_a_day_moves_no_handover(autopilot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     still = handovers_under_jumps(autopilot, None, monkeypatch)

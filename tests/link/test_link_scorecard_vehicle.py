@@ -183,6 +183,7 @@ def noticed_after_s(one: VirtualFlight, draw: random.Random) -> float:
     return max(sent, default=at_s) - at_s
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_restarted_autopilot_gets_its_last_setpoint_within_two_seconds(autopilot: str) -> None:
     assert max(at_moments(in_cruise(autopilot), 5, 5, noticed_after_s)) <= 2.0

@@ -68,6 +68,7 @@ def test_a_limit_that_comes_up_suddenly_is_braked_for_as_hard_as_the_plan_allows
     assert np.abs(np.diff(speeds) / DT_S).max() < 1.05 * ACCEL_M_S2
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(
     start_s=st.floats(3.0, 45.0),

@@ -175,6 +175,7 @@ def test_told_to_stop_in_the_air_it_flies_the_contingency(tmp_path: Path) -> Non
     assert "returning" in [e.data.get("to") for e in events.all]
 
 
+@pytest.mark.slow
 def test_it_starts_from_any_folder_whatever_lies_there(tmp_path: Path) -> None:
     """A file called like one of our packages in the working folder must not be run."""
     (tmp_path / "link.py").write_text("raise SystemExit('the wrong link')\n")

@@ -32,6 +32,7 @@ def idle_request(**changes: object) -> FlightRequest:
     )
 
 
+@pytest.mark.slow
 def test_no_vehicle_is_a_refused_flight_with_a_reason_and_no_process_left(tmp_path: Path) -> None:
     journal = Events()
     flight = start_flight(idle_request(connect_timeout_s=1.0), journal, run_dir=tmp_path / "run")
@@ -50,6 +51,7 @@ def test_no_vehicle_is_a_refused_flight_with_a_reason_and_no_process_left(tmp_pa
         flight.command("hold")
 
 
+@pytest.mark.slow
 def test_words_are_answered_and_a_second_flight_on_the_same_links_is_refused(tmp_path: Path) -> None:
     request = idle_request(connect_timeout_s=60.0)
     flight = start_flight(request, run_dir=tmp_path / "a")
@@ -70,6 +72,7 @@ def test_words_are_answered_and_a_second_flight_on_the_same_links_is_refused(tmp
     assert not alive(flight.pid)
 
 
+@pytest.mark.slow
 def test_a_streamer_that_cannot_start_says_why_and_leaves_no_process(tmp_path: Path) -> None:
     (port,) = free_ports(1)
     import socket
@@ -83,6 +86,7 @@ def test_a_streamer_that_cannot_start_says_why_and_leaves_no_process(tmp_path: P
             start_flight(request, run_dir=tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_a_killed_flight_on_the_ground_is_a_fault_of_ours(tmp_path: Path) -> None:
     flight = start_flight(idle_request(connect_timeout_s=60.0), run_dir=tmp_path / "run")
     flight.status()

@@ -31,6 +31,7 @@ def rest_error_m(one: VirtualFlight) -> float:
     return float(np.hypot(east - end[0], north - end[1]))
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_flight_over_three_stations(autopilot: str) -> None:
     one = VirtualFlight(relay_plan(3), autopilot, frugal=True)
@@ -48,6 +49,7 @@ def test_a_flight_over_three_stations(autopilot: str) -> None:
     assert not one.said("alarm")
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("which", ["old", "new"])
 @pytest.mark.parametrize("handover", [1, 2])

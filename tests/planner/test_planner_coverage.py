@@ -128,6 +128,7 @@ def test_windows_agree_with_dense_samples(seed: int, share: float, size: float, 
                 assert outside(edge + step * np.linspace(0, 1e-5, 11)).max() > -1e-9
 
 
+@pytest.mark.slow
 @given(st.integers(0, 100_000))
 @settings(deadline=None, max_examples=20)
 def test_many_windows_are_the_single_ones(seed: int) -> None:

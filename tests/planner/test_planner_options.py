@@ -147,6 +147,7 @@ def test_moving_start_with_everything() -> None:
     planned(replace(problem, start_velocity_m_s=np.array([10.0, 5.0, 0.0])))
 
 
+@pytest.mark.slow
 def test_no_room_to_stop() -> None:
     """At 50 m/s, 10 m from the edge of the only range, 250 m are needed to stop."""
     problem = make_problem([984, 0, 100], [0, 0, 100], [[0, 0, 0, 1000]], start_velocity_m_s=np.array([50.0, 0.0, 0.0]))

@@ -73,6 +73,7 @@ def test_pruning_changes_the_work_and_not_the_answer(ladder: Problem) -> None:
     assert certify(ladder, pruned.trajectory).feasible
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [0, 3])
 def test_little_memory_changes_the_order_and_not_the_answer(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the frontier is full branches are walked depth first: the same best plan, nothing planned twice."""

@@ -114,6 +114,7 @@ def test_same_problem_same_plan() -> None:
     assert digest(Planner().plan(problem)) == first
 
 
+@pytest.mark.slow
 def test_same_plan_in_another_process() -> None:
     code = (
         "import sys; sys.path.insert(0, 'tests/planner');"
@@ -355,6 +356,7 @@ def test_a_gap_is_measured_and_closed() -> None:
     assert_remedies_work(problem, found)
 
 
+@pytest.mark.slow
 def test_a_lower_floor_closes_a_gap() -> None:
     """Antennas at 0, ranges 1000 m, 1980 m apart: discs meet below sqrt(1000^2 - 990^2) = 141 m, the floor is 150."""
     stations = [[0, 0, 0, 1000], [1980, 0, 0, 1000]]
@@ -389,6 +391,7 @@ def test_two_faults_are_both_told() -> None:
     assert_remedies_work(problem, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["M30_08", "M100_01", "M100_05", "M300_05"])
 def test_remedies_of_the_missions_a_margin_breaks(name: str) -> None:
     problem = paper_problem(name, **DEFAULTS)

@@ -30,6 +30,7 @@ def faults_of(numbers: range) -> tuple[Counter[str], list[str]]:
     return ends, faults
 
 
+@pytest.mark.slow
 def test_a_sample_of_random_missions() -> None:
     ends, faults = faults_of(range(40))
     assert faults == []

@@ -114,6 +114,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_the_process_relays_both_ways() -> None:
     """Through real sockets: everything sent comes back, delayed twice by the latency."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:

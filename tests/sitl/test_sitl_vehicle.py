@@ -62,6 +62,7 @@ def tracking(
     return math.sqrt(sum(e * e for e in errors) / len(errors)), max(errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("autopilot", "speed", "lateral", "rms_m", "worst_m"),
     [
@@ -97,6 +98,7 @@ def test_top_speed_option_is_the_speed_it_tops_out_at() -> None:
     assert rig.sim.body.speed_m_s == pytest.approx(20.0, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_the_true_place_is_where_the_autopilots_own_numbers_say(autopilot: str) -> None:
     """At (3000, 4000) in its local frame the vehicle is 5 km from home, less the fault of its projection (< 0.4 %), and
