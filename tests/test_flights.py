@@ -87,8 +87,16 @@ def fly_over_bad_links(name: str, autopilot: str, seed: int) -> VirtualFlight:
     flight = VirtualFlight(plan, autopilot, proxy=proxy, frugal=True, **far)  # type: ignore[arg-type]
     assert flight.run() is FlightState.COMPLETED, flight.events[-5:]
     one_station_at_a_time(flight)
-    released = flight.said("handover", state="released")
-    assert [e.data["to"] for e in released] == [h.to_station for h in plan.handovers]
+    # Control may go back for a moment, where by chance nothing gets through for longer than a live link is silent.
+    forward = [h.to_station for h in plan.handovers]
+    at = 0
+    for handover in flight.said("handover", state="released"):
+        at += 1 if handover.data["forward"] else -1
+        assert handover.data["to"] == (plan.handovers[0].from_station, *forward)[at]
+        if not handover.data["forward"]:
+            requested = flight.said("handover", state="requested", index=handover.data["index"], forward=False)
+            assert "unproved for" in requested[-1].data["reason"]
+    assert at == len(forward)
     assert max(handover_gaps_s(flight)) < 0.6
     assert flight.cross_track_m(every=4).max() < 1.0
     # The latency, 5 m at 50 m/s, is led: the vehicle is where the plan has it.
