@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -793,6 +794,25 @@ def test_stamps_are_saved_beside_the_flight_and_let_go_of_at_its_end(
     assert recorder.dropped == 0
     for store in stores:
         store.close()
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_stamps_are_saved_at_their_own_pace_whatever_else_is_written(
+    busy: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(streamer_module, "SAVE_EVERY_S", 0.05)
+    store = SigningStore.in_memory()
+    saves: list[float] = []
+    monkeypatch.setattr(store, "save", lambda: saves.append(time.monotonic()))
+    began_s = time.monotonic()
+    recorder = Recorder(tmp_path, None, 0.0, [store])
+    while len(saves) < 5 and time.monotonic() < began_s + 20.0:
+        if busy:
+            recorder.event(FlightEvent(1, EventKind.ALARM, 2.0, None, "2026-11-22T09:00:00Z", FlightState.CRUISE, {}))
+        time.sleep(0.001)
+    recorder.close()
+    assert len(saves) >= 5
+    assert all(later - earlier >= 0.05 for earlier, later in pairwise([began_s, *saves]))
 
 
 def test_a_streamer_lets_go_of_its_stamps(tmp_path: Path, quiet_process: None) -> None:
