@@ -246,7 +246,8 @@ class Streamer:
         # Young garbage alone: a full look may take longer than a tick.
         gc.set_threshold(20_000, 20, 100_000)
         sys.setswitchinterval(0.0005)
-        self._log(f"priority: {raise_priority()}; memory: {lock_memory()}")
+        self._log(f"priority: {raise_priority()}")
+        self._log(f"memory: {lock_memory()}")
         self.core.start(self.clock.now_s())
         while not self.core.finished:
             self._wait()

@@ -649,7 +649,7 @@ def test_a_flight_from_its_folder_ends_with_the_flights_own_code(
     (tmp_path / "request.json").write_text(json.dumps(bench.request.to_document()))
     monkeypatch.setattr(sys, "argv", ["link.streamer", str(tmp_path)])
     assert main() == 4
-    assert "priority: as it was; memory: as ever\n" in capfd.readouterr().err
+    assert "priority: as it was\nmemory: as ever\n" in capfd.readouterr().err
     bench.close()
 
 
