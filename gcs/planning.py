@@ -73,8 +73,7 @@ def plan_mission(
     trajectory = solution.trajectory
     certificate = certify_true(laid, trajectory)
     if not certificate.feasible:
-        broken = {name: value for name, value in certificate.worst.items() if value > 0}
-        raise PlanningFailed(f"the plan made by {solution.method} fails its own certificate: {broken}")
+        raise PlanningFailed(f"the plan made by {solution.method} fails its own certificate: {certificate.broken}")
     curve = Trajectory(trajectory.control_points_m, trajectory.durations_s, laid.stations[trajectory.station_index])
     named = mission.with_system_ids(curve.sequence)
     ground = laid.ground.renamed(named)

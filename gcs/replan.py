@@ -28,7 +28,6 @@ from gcs.plan import Plan
 from gcs.planning import PlannerLike, Progress, plan_mission, recertify
 from gcs.schedule import schedule
 from planner import bezier
-from planner.certificate import CONTINUITY_TOLERANCE
 from planner.planner import Method
 from planner.trajectory import Trajectory
 
@@ -313,7 +312,7 @@ def _standing(plan: Plan, curve: Trajectory, stand_s: float, rest: Plan) -> Repl
         else:
             lasts_s = 2.0 * (stand_s - begin_s)
         points, durations, stations = _nothing(degree)
-        if begin_s > 1e-6:
+        if begin_s > _SAME_S:
             points, durations, stations = _until(curve, begin_s)
         brake, pieces_s = _braking(curve, begin_s, stand_s, lasts_s, degree)
         ends = curve.station_index[curve.segment_at(np.array([begin_s, stand_s]))]
@@ -339,7 +338,7 @@ def _braking(curve: Trajectory, begin_s: float, stand_s: float, lasts_s: float, 
     ``lasts_s``. That is twice the plan's time, and the first value 1, or more from rest. Each piece is the quintic with
     the right position, velocity and acceleration at both ends.
     """
-    if stand_s - begin_s < 1e-6:
+    if stand_s - begin_s < _SAME_S:
         return np.empty((0, degree + 1, 3)), np.empty(0)
     count = max(1, math.floor(lasts_s / _BRAKING_PIECE_S))
     u = np.linspace(0.0, 1.0, count + 1)
@@ -400,10 +399,7 @@ def _whole(plan: Plan, rest: Plan, curve: Trajectory, join_s: float) -> Plan | M
     )
     certificate = recertify(made)
     if not certificate.feasible:
-        allowed = {"continuity": CONTINUITY_TOLERANCE}
-        broken = ", ".join(
-            f"{name} by {value:.3g}" for name, value in certificate.worst.items() if value > allowed.get(name, 0.0)
-        )
+        broken = ", ".join(f"{name} by {value:.3g}" for name, value in certificate.broken.items())
         return _no_join(
             f"A new curve was found, but it cannot be joined on at {join_s:.1f} s of the plan: it breaks {broken}.",
             "Replan from another moment, or hold first.",

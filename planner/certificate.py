@@ -32,11 +32,18 @@ class Certificate:
     worst: dict[str, float]
 
     @property
+    def broken(self) -> dict[str, float]:
+        """The excesses above what is allowed: zero, and `CONTINUITY_TOLERANCE` for ``continuity``; NaN is one."""
+        return {
+            name: value
+            for name, value in self.worst.items()
+            if not value <= (CONTINUITY_TOLERANCE if name == "continuity" else 0.0)
+        }
+
+    @property
     def feasible(self) -> bool:
         """True when every excess is at most zero and the joints are continuous."""
-        return all(
-            value <= (CONTINUITY_TOLERANCE if name == "continuity" else 0.0) for name, value in self.worst.items()
-        )
+        return not self.broken
 
 
 def certify(problem: Problem, trajectory: Trajectory) -> Certificate:

@@ -24,9 +24,8 @@ SHRINK = 1e-7
 LEAST_PIECE = 0.02
 # A piece from rest to rest is guessed to take so many times length over speed, or the root of length over acceleration.
 REST_TIME = 2.5
-# How many times the length of a piece a bend may take: the fastest curve spreads it over several. Little more or less
-# matters; without it, as if bends had to be flown within a piece, the guess is so slow that the solver takes a sixth
-# more steps.
+# How many times the length of a piece a bend may take: the fastest curve spreads it over several. The number hardly
+# matters, but with bends flown within a piece the guess is so slow that the solver takes a sixth more steps.
 BEND_ROOM = 10.0
 
 

@@ -249,8 +249,7 @@ def _least(cured: Callable[[float], bool], most: float, needed: float = 0.0) -> 
 
 def _linked(problem: Problem) -> bool:
     """True when `planner.diagnosis.diagnose` would find nothing wrong; cheaper where it would."""
-    ends = (problem.start_m[2], problem.destination_m[2])
-    if min(ends) < problem.limits.min_alt_m or max(ends) > problem.limits.max_alt_m:
+    if not problem.ends_in_band():
         return False
     sources = covering_stations(problem, problem.start_m)
     targets = covering_stations(problem, problem.destination_m)

@@ -123,6 +123,11 @@ class Problem:
         distance = np.linalg.norm(self.station_positions_m - position_m, axis=1)
         return np.flatnonzero(distance <= self.ranges_m + slack_m)
 
+    def ends_in_band(self) -> bool:
+        """Whether start and destination lie inside the altitude band."""
+        low, high = sorted((float(self.start_m[2]), float(self.destination_m[2])))
+        return self.limits.min_alt_m <= low and high <= self.limits.max_alt_m
+
     def disc_plane_m(self) -> Array:
         """``(M,)``: altitude at which each station's cross-section inside the band is largest.
 

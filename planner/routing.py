@@ -93,8 +93,7 @@ def geodesic_route(problem: Problem, bound: LowerBound) -> Route | None:
     None where the path is not known, the problem's own ranges leave a gap in it, an end lies outside the altitude band
     or the stations are more than allowed.
     """
-    limits, altitudes_m = problem.limits, (problem.start_m[2], problem.destination_m[2])
-    if bound.path_m is None or not limits.min_alt_m <= min(altitudes_m) <= max(altitudes_m) <= limits.max_alt_m:
+    if bound.path_m is None or not problem.ends_in_band():
         return None
     sequence = geodesic_sequence(problem, bound.path_m)
     if sequence is None or (problem.max_handovers is not None and len(sequence) > problem.max_handovers + 1):

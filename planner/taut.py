@@ -104,7 +104,6 @@ def _corners(start: Point, left: list[Point], right: list[Point]) -> list[tuple[
 def _meet(a: Array, b: Array, left: Array, right: Array) -> Array:
     """Where the line from ``a`` to ``b`` crosses each gate, ``(g, 2)``; a gate's end where it only grazes it."""
     way = left - right
-    over = _cross(np.broadcast_to(b - a, way.shape), way)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = _cross(a - right, np.broadcast_to(b - a, way.shape)) / np.where(over == 0.0, 1.0, -over)
+    over = _cross(b - a, way)
+    share = _cross(a - right, b - a) / np.where(over == 0.0, 1.0, -over)
     return np.asarray(right + np.clip(share, 0.0, 1.0)[:, None] * way)

@@ -148,20 +148,21 @@ def run(
 
 def _finished(results: Results, mission: str) -> dict[str, Any] | None:
     """An enumeration that came to its end under another time limit is the same under every limit it kept."""
-    for settings, measured in results.of("enumeration", mission):
-        if measured["complete"] and (settings["delta_t_s"], settings.get("order")) == (DELTA_T_S, EM_ORDER):
-            return measured
-    return None
+    return next((measured for _, measured in _enumerations(results, mission) if measured["complete"]), None)
+
+
+def _enumerations(results: Results, mission: str) -> list[tuple[float, dict[str, Any]]]:
+    """The enumerations made as today's are, each with its time limit."""
+    return [
+        (settings["time_limit_s"], measured)
+        for settings, measured in results.of("enumeration", mission)
+        if (settings["delta_t_s"], settings.get("order")) == (DELTA_T_S, EM_ORDER)
+    ]
 
 
 def _longest(results: Results, mission: str, time_limit_s: float) -> dict[str, Any] | None:
     """The enumeration under the longest limit of those longer than ``time_limit_s``, and that ``time_limit_s``."""
-    longer = [
-        (settings["time_limit_s"], measured)
-        for settings, measured in results.of("enumeration", mission)
-        if settings["time_limit_s"] > time_limit_s
-        and (settings["delta_t_s"], settings.get("order")) == (DELTA_T_S, EM_ORDER)
-    ]
+    longer = [(limit_s, measured) for limit_s, measured in _enumerations(results, mission) if limit_s > time_limit_s]
     if not longer:
         return None
     limit_s, measured = max(longer, key=lambda one: one[0])

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse, Response
 
 from api.problems import UnavailableError
-from api.schemas import Health
+from api.schemas.base import Health
 from api.services import Wired
 from gcs.errors import StoreUnavailable
 from gcs.planning import product_version

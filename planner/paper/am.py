@@ -104,8 +104,7 @@ def certified(
     """A `Solution` around ``trajectory``; `SolverError` when it breaks a constraint."""
     certificate = certify(problem, trajectory)
     if not certificate.feasible:
-        broken = {name: value for name, value in certificate.worst.items() if value > 0.0}
-        raise SolverError(f"the trajectory found breaks {broken}")
+        raise SolverError(f"the trajectory found breaks {certificate.broken}")
     return Solution(trajectory, certificate, method, lower_bound_s, iterations, notes)
 
 

@@ -251,6 +251,9 @@ def test_a_longer_limit_has_a_table_of_its_own_and_another_order_none() -> None:
     kept.add("enumeration", mission, {**asked, "order": "depth first"}, cut_short)
     (row,) = paper.run([case], settings, kept, kept_only=True, tell=told.append)
     assert row["enumeration"] is None
+    before = len(told)
+    paper.run([case], settings, kept, tell=told.append)
+    assert [text.split(", ")[-2:] for text in told[before:]] == [["EM", "0.1 s"]]
     kept.add("enumeration", mission, asked, cut_short)
     kept.add("enumeration", mission, {**asked, "time_limit_s": 9.0}, {**cut_short, "planned": 77})
     (row,) = paper.run([case], settings, kept, kept_only=True, tell=told.append)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from test_link_signing import NOW, Clock, make, refused, sign, stamp_of, taken
 
+from flight_processes import open_files
 from link import memory_file
 from link.errors import SigningError
 from link.signing import MAX_STAMP, Verdict
@@ -48,11 +49,6 @@ def _heartbeat() -> object:
 def in_memory() -> list[Path]:
     """The stamps that lie in shared memory."""
     return list(memory_file.FOLDER.glob("skyrelay-*"))
-
-
-def open_files() -> list[str]:
-    """What the descriptors of this process stand for."""
-    return [os.readlink(one) for one in Path("/proc/self/fd").iterdir() if one.is_symlink()]
 
 
 @pytest.fixture(autouse=True)

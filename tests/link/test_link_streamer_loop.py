@@ -23,7 +23,7 @@ import pytest
 
 import link.streamer as streamer_module
 from flight_plans import relay_plan
-from flight_processes import free_ports
+from flight_processes import free_ports, open_files
 from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
 from link.clock import FlightClock, PacedClock
 from link.errors import EndpointError, FlightRequestError
@@ -843,11 +843,6 @@ def test_who_writes_the_logs_is_as_urgent_as_the_flight_or_would_hold_it_up(
     Recorder(tmp_path, None, 0.0).close()
     assert [priority for _, priority in asked] == [9]
     assert asked[0][0] != threading.get_ident()
-
-
-def open_files() -> list[str]:
-    """What the descriptors of this process stand for."""
-    return [os.readlink(one) for one in Path("/proc/self/fd").iterdir() if one.is_symlink()]
 
 
 def test_frames_and_events_are_written_in_order_with_the_time_in_utc(tmp_path: Path) -> None:
