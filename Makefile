@@ -23,7 +23,7 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/pytest -q tests/test_house.py
+	$(BIN)/pytest -q tests/system/test_house.py
 
 quick: setup
 	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "not slow and not soak"

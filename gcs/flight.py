@@ -1,6 +1,6 @@
 """A flight and its handovers as data: states, what may follow what, operators' words, events, the journal.
 
-Pure: no clock, no wire. `link.flight` drives these on the wire, the store keeps their events.
+Pure: no clock, no wire. `link.director.core` drives these on the wire, the store keeps their events.
 
 ::
 
@@ -209,7 +209,8 @@ class Word(StrEnum):
     """As `READY`, and takes back a refusal."""
     REFUSE = "refuse"
     REPLAN = "replan"
-    """Fly another plan, which has been made for this flight from a moment ahead (`gcs.replan`), from now on."""
+    """Fly another plan, which has been made for this flight from a moment ahead (`gcs.planning.replan`), from now on.
+    """
     AUTHORISE = "authorise"
     """The flight may go on up to a given T+ of the plan, parent or no parent."""
 

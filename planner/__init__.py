@@ -4,7 +4,7 @@ Plain numpy in and out, metres and seconds in a local plane; no I/O and no clock
 """
 
 from planner.certificate import Certificate, certify
-from planner.corridor import Corridor, Piece, build_corridor
+from planner.corridor.corridor import Corridor, Piece, build_corridor
 from planner.errors import Infeasibility, InfeasibleError, PlannerError, ProblemError, SolverError
 from planner.planner import Planner
 from planner.problem import Limits, Problem

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.coverage import Stations, held_s, leaves_s
+from planner.coverage.window import Stations, held_s, leaves_s
 from planner.errors import ProblemError
 from planner.problem import Problem
 from planner.trajectory import Trajectory

@@ -9,21 +9,23 @@ A problem whose ranges chain together always gets a plan from rest: a vehicle ma
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Literal
 
-from planner.bound import LowerBound, lower_bound
 from planner.certificate import certify
-from planner.energy import slowed_to_save
+from planner.corridor.corridor import build_corridor
+from planner.corridor.handover_polyline import polyline_along
+from planner.energy import cost_s, slowed_to_save
 from planner.errors import InfeasibleError, SolverError
-from planner.infeasibility import explain, no_way_from_moving_start, too_long
-from planner.joint import Attempt, Effort, plan_alternating, plan_joint
-from planner.paper.am import plan_paper
-from planner.polyline import polyline_along, priced
-from planner.problem import Problem
-from planner.routing import Route, candidate_routes, geodesic_route
+from planner.infeasibility.explanation import explain, no_way_from_moving_start, too_long
+from planner.joint.sequence_planner import Attempt, Effort, plan_joint
+from planner.paper.alternating import plan_paper
+from planner.problem import Problem, priced
+from planner.routing.lower_bound import LowerBound, lower_bound
+from planner.routing.portal_graph import Route
+from planner.routing.station_sequence import candidate_routes, geodesic_route
 from planner.solution import Solution
 
 Method = Literal["joint", "fast", "paper"]
@@ -186,3 +188,24 @@ def ranked_sequences(problem: Problem, count: int, bound: LowerBound) -> list[tu
 def _cheapest(attempts: list[Attempt | None]) -> Attempt | None:
     found = [attempt for attempt in attempts if attempt is not None]
     return min(found, key=lambda attempt: attempt.cost_s) if found else None
+
+
+def plan_alternating(
+    problem: Problem, sequence: Sequence[int], *, energy_weight: float = 0.0, max_iterations: int = 10
+) -> Attempt | None:
+    """The paper's method on the same sequence: slower flights, but from rest it always has one. None when it fails."""
+    corridor = build_corridor(problem, sequence)
+    try:
+        solution = plan_paper(problem, corridor=corridor, delta_t_s=0.5, max_iterations=max_iterations)
+    except SolverError:
+        return None
+    trajectory = slowed_to_save(problem, solution.trajectory, energy_weight)
+    return Attempt(
+        tuple(sequence),
+        trajectory,
+        certify(problem, trajectory),
+        "alternating minimisation",
+        solution.iterations,
+        converged=False,
+        cost_s=cost_s(problem, trajectory, energy_weight),
+    )

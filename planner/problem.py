@@ -134,3 +134,8 @@ class Problem:
         The erratum to the paper's Proposition 1: clamp(h, z_min, z_max), which is z_min for antennas below the band.
         """
         return np.clip(self.station_positions_m[:, 2], self.limits.min_alt_m, self.limits.max_alt_m)
+
+
+def priced(problem: Problem) -> bool:
+    """True when handovers cost time."""
+    return problem.min_overlap_s > 0.0 or problem.min_tenure_s > 0.0

@@ -13,6 +13,7 @@ from planner import bezier
 from planner.errors import ProblemError
 
 Array = NDArray[np.float64]
+DEGREE = 5
 
 
 @dataclass(frozen=True, eq=False)

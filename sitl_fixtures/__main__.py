@@ -6,9 +6,10 @@ import argparse
 import sys
 
 from sitl_fixtures.errors import ConfigurationError, SimulatorError
-from sitl_fixtures.faults import listing
-from sitl_fixtures.process import Address, run_process
-from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
+from sitl_fixtures.faults.fault import listing
+from sitl_fixtures.process.host import Address, run_process
+from sitl_fixtures.vehicle.config import SimulatorConfig
+from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
 
 
 def parser() -> argparse.ArgumentParser:

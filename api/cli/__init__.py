@@ -15,8 +15,12 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from api.cli import bench, demo, doctor, flight, fly, handovers, plan, report, serve, setpoints, simulate
-from api.cli.errors import EXIT_BAD_INPUT, EXIT_FAULT, EXIT_INTERRUPTED, CommandError, Terminated
+from api.cli.bench import command as bench
+from api.cli.commands import flight, fly, handovers, plan, report, serve, setpoints, simulate
+from api.cli.demo import command as demo
+from api.cli.doctor import machine as doctor
+from api.cli.errors import EXIT_BAD_INPUT, EXIT_FAULT, EXIT_INTERRUPTED, CommandError, FaultError, Terminated
+from api.processes.children import ChildError
 
 __all__ = ["main"]
 
@@ -87,6 +91,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     except CommandError as error:
         _complain(error.block())
         code = error.exit_code
+    except ChildError as error:
+        _complain(FaultError(error.what, error.details).block())
     except _USAGE_ERRORS as error:
         _complain(_usage_block(error))
         code = EXIT_BAD_INPUT

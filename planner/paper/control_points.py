@@ -14,12 +14,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.conic import ConeProgram
-from planner.corridor import Corridor
+from planner.corridor.chebyshev import BAND_SHRINK_M, Refuges
+from planner.corridor.cone_program import ConeProgram
+from planner.corridor.corridor import Corridor
 from planner.paper.boundary import CONTROL_FROM_BOUNDARY, rest_at
 from planner.paper.cone_rows import ConeLayout
 from planner.paper.initial import initial_durations
-from planner.paper.refuge import BAND_SHRINK_M, Refuges
 from planner.problem import Problem
 
 Array = NDArray[np.float64]

@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.corridor import Corridor
-from planner.paper.boundary import DEGREE, shortest_piece_s
-from planner.paper.feasibility import speed_ratio
+from planner.corridor.corridor import Corridor
+from planner.corridor.limit_check import speed_ratio
+from planner.paper.boundary import shortest_piece_s
 from planner.problem import Problem
+from planner.trajectory import DEGREE
 
 Array = NDArray[np.float64]
 

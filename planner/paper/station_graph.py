@@ -1,8 +1,8 @@
 """The upper level: a graph of stations and Dijkstra's shortest path through it (paper section 3.1).
 
 Two stations are adjacent when their ranges meet inside the altitude band (Proposition 1, with "<=" and exact for
-antennas above the band's floor, see ``planner.lens``). An edge weighs the horizontal distance between the stations;
-the edges of start and destination weigh nothing.
+antennas above the band's floor, see ``planner.coverage.overlap``). An edge weighs the horizontal distance between the
+stations; the edges of start and destination weigh nothing.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from planner.diagnosis import broken_pair, diagnose
-from planner.discs import covering_stations
+from planner.coverage.disc import covering_stations
+from planner.coverage.overlap import MIN_LENS_M, adjacent_pairs, lens_depth_m
 from planner.errors import Infeasibility, InfeasibleError, ProblemError
-from planner.lens import MIN_LENS_M, adjacent_pairs, lens_depth_m
+from planner.infeasibility.diagnosis import broken_pair, diagnose
 from planner.problem import Problem
 
 Array = NDArray[np.float64]

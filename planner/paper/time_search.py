@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.corridor import Corridor
+from planner.corridor.corridor import Corridor
+from planner.corridor.limit_check import CorridorCheck
 from planner.paper.boundary import control_points
-from planner.paper.feasibility import CorridorCheck
 from planner.paper.initial import leg_durations
 
 Array = NDArray[np.float64]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from planner_missions import PAPER_LIKE, make_problem, paper_problem
 
 from planner import Problem
+from tests.support.planner_missions import PAPER_LIKE, make_problem, paper_problem
 
 
 @pytest.fixture(params=PAPER_LIKE)

@@ -1,0 +1,1 @@
+"""The seed paper's experiments: runs, tables, figures, the page."""

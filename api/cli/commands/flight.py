@@ -1,0 +1,181 @@
+"""``skyrelay flight``: words to a flight that runs in the service: hold, resume, abort, land, replan, accept."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+from urllib.parse import quote
+
+import typer
+
+from api.cli.errors import BadInputError, InfeasibleError
+
+if TYPE_CHECKING:
+    from api.cli.rest_client import Service
+
+_FRAMES = (("lat_deg", "lon_deg", "alt_amsl_m"), ("east_m", "north_m", "up_m"))
+
+
+def register(app: typer.Typer, panel: str) -> None:
+    """Add the command."""
+    app.command("flight", rich_help_panel=panel)(flight)
+
+
+def flight(
+    flight_id: Annotated[
+        str | None, typer.Argument(metavar="[FLIGHT]", help="Its id; left out, the flights under way are listed.")
+    ] = None,
+    word: Annotated[
+        Literal["look", "hold", "resume", "abort", "land", "replan", "accept"],
+        typer.Argument(
+            help="look: where it is; hold: stop on the path; resume: go on; abort: the contingency in force; land: at "
+            "once, wherever that is; replan: propose a plan from here; accept: fly the plan proposed."
+        ),
+    ] = "look",
+    service: Annotated[
+        str, typer.Option("--service", metavar="URL", help="The service.", envvar="SKYRELAY_SERVICE")
+    ] = "http://127.0.0.1:8000",
+    destination: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,C", help="replan: to there; latitude, longitude, altitude AMSL, or east,north,up."),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="STATION", help="replan: without this station; may be repeated.")
+    ] = None,
+    ahead_s: Annotated[
+        float, typer.Option("--ahead", metavar="S", min=5, max=600, help="replan: how far ahead it begins, in flight.")
+    ] = 30.0,
+    plan_sha256: Annotated[
+        str | None, typer.Option("--plan", metavar="SHA256", help="accept: the hash of the plan proposed.")
+    ] = None,
+    by: Annotated[str | None, typer.Option(metavar="NAME", help="Who says so, for the record.")] = None,
+    reason: Annotated[str | None, typer.Option(metavar="TEXT", help="Why, for the record.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer.")] = False,
+) -> None:
+    """Speak to a flight that runs in the service: look at it, hold it, let it go on, end it, plan it anew.
+
+    A plan proposed changes nothing until it is accepted: `skyrelay flight ID replan`, then `accept --plan SHA256`.
+    """
+    from api.cli.rest_client import RefusedError, Service
+
+    speaker = Service(service.rstrip("/") + "/")
+    try:
+        answer, text = _asked(
+            speaker,
+            flight_id,
+            word,
+            {"by": by, "reason": reason},
+            destination=destination,
+            exclude=exclude,
+            ahead_s=ahead_s,
+            plan_sha256=plan_sha256,
+        )
+    except RefusedError as refusal:
+        raise _refused(refusal.status, refusal.problem) from None
+    typer.echo(json.dumps(answer, indent=1) if as_json else text)
+
+
+def _asked(
+    service: Service,
+    flight_id: str | None,
+    word: str,
+    said: Mapping[str, Any],
+    *,
+    destination: str | None,
+    exclude: list[str] | None,
+    ahead_s: float,
+    plan_sha256: str | None,
+) -> tuple[Any, str]:
+    """The service's answer, and what it is in words. Raises `api.cli.rest_client.RefusedError`, `BadInputError`."""
+    if flight_id is None:
+        flights = service.call("GET", "v1/flights?active=true&limit=200")
+        lines = [f"{f['id']}  {f['phase']:<12} vehicle {f['vehicle_id']}" for f in flights["items"]]
+        return flights, "\n".join(lines) or "no flight is under way"
+    address = f"v1/flights/{quote(flight_id, safe='')}"
+    if word == "replan":
+        wish: dict[str, Any] = {**said, "ahead_s": ahead_s}
+        if destination is not None:
+            frame = service.call("GET", f"{address}/plan")["mission"]["destination"]
+            wish["destination"] = _place(destination, frame)
+        if exclude:
+            wish["excluded_stations"] = exclude
+        proposal = service.call("POST", f"{address}/replan", wish)
+        return proposal, _proposed(flight_id, proposal)
+    if word == "accept":
+        if plan_sha256 is None:
+            raise BadInputError(
+                "which plan is accepted?",
+                {"where": "--plan", "fix": f"ask for one with `skyrelay flight {flight_id} replan`, and give its hash"},
+            )
+        body = {**said, "plan_sha256": plan_sha256}
+        answer = service.call("POST", f"{address}/replan/accept", body)
+    elif word == "look":
+        answer = service.call("GET", address)
+    else:
+        answer = service.call("POST", f"{address}/{word}", dict(said))
+    return answer, _shown(answer)
+
+
+def _place(text: str, frame: Mapping[str, Any]) -> dict[str, float]:
+    """A place in the mission's own frame. Raises `BadInputError`."""
+    names = next(names for names in _FRAMES if set(names) <= set(frame))
+    try:
+        values = [float(part) for part in text.split(",")]
+        return dict(zip(names, values, strict=True))
+    except ValueError:
+        raise BadInputError(
+            "the destination cannot be read",
+            {"where": "--destination", "value": text, "allowed": f"three numbers: {','.join(names)}"},
+        ) from None
+
+
+def _shown(answer: Mapping[str, Any]) -> str:
+    """A flight now, in a line or two."""
+    from api.cli.commands.flight_view import clock
+
+    live = answer["live"]
+    parts = [str(answer["phase"])]
+    if live["t_plus_s"] is not None:
+        parts.append(f"T+ {clock(live['t_plus_s'])}")
+    if live["station"] is not None:
+        parts.append(f"{live['station']} in control")
+    if live["margin_m"] is not None:
+        parts.append(f"{live['margin_m']:.0f} m of range left")
+    following = live["next_handover"]
+    if following:
+        parts.append(f"{following['to']} takes over in {clock(max(0.0, following['in_s']))}")
+    line = f"flight {answer['id']}: {', '.join(parts)}"
+    return f"{line}\n  {live['reason']}" if live["reason"] else line
+
+
+def _proposed(flight_id: str, proposal: Mapping[str, Any]) -> str:
+    from api.cli.commands.flight_view import clock
+
+    until = proposal["decide_by_t_plus_s"]
+    lines = [
+        f"plan {proposal['plan_sha256']}",
+        f"  over {', '.join(proposal['stations'])}; it ends at T+ {clock(proposal['mission_time_s'])} of the plan",
+        *(
+            f"  handover {h['index']}, {h['from']} to {h['to']}: T+ {clock(h['t_plus_s'])}"
+            for h in proposal["handovers"]
+        ),
+        *(
+            f"  {check['level']}: {check['name']}: {check['message']}; {check['fix']}"
+            for check in proposal["checks"]
+            if check["level"] != "pass"
+        ),
+        "  the flight stands and waits" if until is None else f"  to be accepted before T+ {clock(until)}",
+        f"accept it with: skyrelay flight {flight_id} accept --plan {proposal['plan_sha256']}",
+    ]
+    return "\n".join(lines)
+
+
+def _refused(status: int, problem: Mapping[str, Any]) -> Exception:
+    """The service's refusal as the command line says it."""
+    detail = str(problem.get("detail") or problem.get("title") or f"status {status}")
+    faults = [fault for fault in problem.get("errors") or [] if isinstance(fault, dict)]
+    if problem.get("reason") is not None:
+        where, gap_m = problem.get("where"), problem.get("gap_m")
+        return InfeasibleError(detail, {"reason": problem["reason"], "where": where, "gap_m": gap_m})
+    return BadInputError(detail, *faults)

@@ -1,0 +1,159 @@
+"""A flight as lines of text: what is worth a line of its own, and the line that says where it is now."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from api.cli.console import Progress
+
+if TYPE_CHECKING:
+    from gcs.flight import FlightEvent
+    from gcs.plan.model import Plan
+    from link.streamer.supervisor import FlightResult
+
+_WORTH_TELLING = {"released", "late", "failed", "timed_out", "refused"}
+# Elsewhere the distance from the plan means nothing.
+_ON_THE_PATH = {"transit", "cruise", "holding", "returning"}
+_DONE = {
+    "released": "done",
+    "late": "LATE: the next station is not ready",
+    "failed": "FAILED: the vehicle said no",
+    "timed_out": "TIMED OUT: no evidence from the vehicle",
+    "refused": "REFUSED by an operator",
+}
+
+
+def clock(seconds: float) -> str:
+    """Seconds as h:mm:ss."""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
+class FlightView:
+    """Shows a flight's events as they come. Called from one thread."""
+
+    def __init__(self, plan: Plan, progress: Progress) -> None:
+        self._plan_time_s = plan.mission_time_s
+        self._progress = progress
+        self.failed_checks: list[dict[str, Any]] = []
+        self.reason = ""
+        """Why the flight is in the state it is in."""
+
+    def __call__(self, event: FlightEvent) -> None:
+        """Show one event."""
+        self.show(event.kind.value, event.t_plus_s, event.state.value, event.data)
+
+    def show(self, kind: str, t_plus_s: float | None, state: str, data: Any) -> None:
+        """Show one event given by its parts, as the service sends them."""
+        if kind == "progress":
+            self._progress.show(self.where(t_plus_s, state, data))
+            return
+        text = self._line(kind, state, data)
+        if text is not None:
+            at = "        " if t_plus_s is None else f"T+ {clock(t_plus_s)}"
+            self._progress.note(f"{at:<11} {text}")
+
+    def where(self, t_plus_s: float | None, state: str, data: Any) -> str:
+        """The flight now, in one line; who is in control comes first."""
+        station = str(data.get("station") or "nobody").rstrip("!")
+        parts = [f"{station} in control"]
+        if t_plus_s is None:
+            parts.append(state)
+        else:
+            whole = f" of {clock(self._plan_time_s)}" if t_plus_s <= self._plan_time_s else ""
+            parts.append(f"T+ {clock(t_plus_s)}{whole}")
+            if state != "cruise":
+                parts.append(state)
+        if data.get("speed_m_s") is not None:
+            parts.append(f"{data['speed_m_s']:.1f} m/s")
+        if data.get("error_m") is not None and state in _ON_THE_PATH:
+            parts.append(f"{data['error_m']:.1f} m off the plan")
+        if data.get("margin_m") is not None:
+            parts.append(f"{data['margin_m']:.0f} m of range left")
+        upcoming = data.get("handovers") or []
+        if upcoming and t_plus_s is not None:
+            wait = clock(max(0.0, upcoming[0]["t_plus_s"] - t_plus_s))
+            parts.append(f"{upcoming[0]['to']} takes over in {wait}")
+        return ", ".join(parts)
+
+    def _line(self, kind: str, state: str, data: Any) -> str | None:
+        if kind == "state":
+            self.reason = str(data.get("reason") or "")
+            if data["to"] == "preflight":
+                self.failed_checks.clear()
+            if data["to"] == "refused" and self.failed_checks:
+                # Every one of them has its own line, and they are told again at the end.
+                return "refused: the preflight failed"
+            return f"{data['to']} ({self.reason})" if self.reason else str(data["to"])
+        if kind == "check" and data["level"] != "pass":
+            required = f"; required: {data['required']}" if data.get("required") else ""
+            if data["level"] != "warning":
+                self.failed_checks.append(dict(data))
+            fix = f"; {data['fix']}" if data.get("fix") else ""
+            return f"preflight {data['level']}: {data['name']}: {data['message']}{required}{fix}"
+        if kind == "handover" and data["state"] in _WORTH_TELLING:
+            reason = f" ({data['reason']})" if data.get("reason") and data["state"] != "released" else ""
+            return f"handover {data['index']}, {data['from']} to {data['to']}: {_DONE[data['state']]}{reason}"
+        if kind == "alarm":
+            more = ", ".join(f"{k} {v}" for k, v in data.items() if k != "what")
+            return f"ALARM: {data['what']}" + (f" ({more})" if more else "")
+        if kind == "link":
+            return f"{data['station']} now sends over {data['url']} instead of {data['before']}"
+        if kind == "replanned":
+            return f"a new plan is flown, {clock(data['mission_time_s'])} in all"
+        if kind == "parameter":
+            was = "" if data["before"] is None else f", was {data['before']}"
+            done = "could not be set" if data["after"] is None else f"set to {data['after']}"
+            return f"parameter {data['name']} {done}{was}"
+        if kind == "text":
+            return f"vehicle says: {data['text']}"
+        if kind == "word":
+            return f"word: {data['word']}"
+        return None
+
+
+def _link_lines(link: Any) -> list[str]:
+    """One link's figures, or a line for each of a station's several."""
+    lines = []
+    for way in link.get("ways") or [link]:
+        if way.get("round_trip_ms") is None:
+            lines.append(f" ({way['url']}): never answered")
+            continue
+        sends = " (sends)" if way.get("sends") else ""
+        lines.append(
+            f" ({way['url']}){sends}: {100.0 * (way['loss'] or 0.0):.1f} % of frames lost, "
+            f"{100.0 * (way['round_loss'] or 0.0):.1f} % of probes, "
+            f"latency {way['latency_ms']:.0f} ms, jitter {way['jitter_ms']:.0f} ms"
+        )
+    return lines
+
+
+def result_lines(plan: Plan, result: FlightResult, log: str | None = None) -> list[str]:
+    """How a flight went, for people."""
+    summary = result.summary
+    completed = result.exit_code == 0
+    reason = f": {result.reason}" if result.reason and not completed else ""
+    lines = [f"flight report: {'arrived, flown as planned' if completed else result.state.value + reason}"]
+    flown = summary.get("flown_s")
+    if flown is not None:
+        lines.append(
+            f"  flown         {clock(flown)} from T+0 to the end, landing included (plan {clock(plan.mission_time_s)})"
+        )
+    if "handovers" in summary:
+        lines.append(f"  handovers     {summary['handovers']} of {len(plan.handovers)}")
+    if summary.get("setpoints"):
+        lines.append(
+            f"  tracking      {summary['tracking_rms_m']:.2f} m rms, {summary['tracking_worst_m']:.2f} m at worst"
+        )
+        lines.append(f"  setpoints     {summary['setpoints']} sent")
+    lateness = summary.get("lateness")
+    if lateness:
+        lines.append(
+            f"  stream        late by {lateness['p50_ms']:.1f} ms (median), {lateness['p99_ms']:.1f} ms (99 %), "
+            f"{lateness['worst_ms']:.1f} ms at worst"
+        )
+    for station, link in (summary.get("links") or {}).items():
+        lines += [f"  link          {station}{text}" for text in _link_lines(link)]
+    if log:
+        lines.append(f"  log           {log}")
+    return lines

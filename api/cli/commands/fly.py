@@ -1,0 +1,281 @@
+"""``skyrelay fly``: the plan streamed to a vehicle, handed over from station to station."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from api.cli import inputs
+from api.cli.console import Progress
+from api.cli.errors import BadInputError, ContingencyError, FaultError, Terminated, faults_as_paragraphs
+
+if TYPE_CHECKING:
+    from api.cli.commands.flight_view import FlightView
+    from gcs.flight import FlightEvent
+    from gcs.plan.model import Plan
+    from link.session.request import FlightRequest
+    from link.streamer.supervisor import FlightResult, RunningFlight
+
+_LOOK_S = 0.2
+
+
+def register(app: typer.Typer, panel: str) -> None:
+    """Add the command."""
+    app.command("fly", rich_help_panel=panel)(fly)
+
+
+def fly(
+    plan_file: Annotated[str, typer.Argument(metavar="PLAN.json", help="The plan; - is standard input.")],
+    autopilot: Annotated[Literal["px4", "ardupilot"], typer.Option(help="What flies the vehicle.")],
+    link: Annotated[
+        list[str],
+        typer.Option(
+            metavar="[ID=]URL",
+            help="How a station reaches the vehicle; repeat it for each station, or give one URL without ID for all. "
+            "Repeated for one station: all are listened to, and one sends until it fails. "
+            "udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.",
+        ),
+    ],
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Setpoints a second, 5 to 100.")] = 20.0,
+    speedup: Annotated[
+        float, typer.Option(metavar="X", help="Fly X times as fast: our simulator at that factor, loopback links only.")
+    ] = 1.0,
+    log: Annotated[str | None, typer.Option(metavar="FILE.tlog", help="Keep every frame sent and heard.")] = None,
+    set_parameters: Annotated[
+        Literal["auto", "yes", "no"],
+        typer.Option(help="Whether unsafe failsafe parameters are set on the vehicle; auto: on our simulator alone."),
+    ] = "auto",
+    handover_way: Annotated[
+        Literal["auto", "gate", "range", "parameter", "operator_control"],
+        typer.Option(
+            help="How the vehicle is told of a handover; parameter: ArduPilot hears one station at a time and is told "
+            "of each (before 4.7 the only way with several)."
+        ),
+    ] = "auto",
+    rally: Annotated[
+        bool,
+        typer.Option("--rally/--no-rally", help="Upload the mission's safe points as rally points for the flight."),
+    ] = True,
+    fence: Annotated[
+        bool, typer.Option("--fence", help="Lay a fence around the plan and every straight way home, for the flight.")
+    ] = False,
+    signing_key: Annotated[
+        str | None, typer.Option(metavar="file:PATH|env:NAME", help="Sign every frame with this 32-byte key.")
+    ] = None,
+    allow_unsigned: Annotated[
+        bool, typer.Option("--allow-unsigned", help="Fly without signing over links that leave this machine.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print every event as a line of JSON instead of the report.")
+    ] = False,
+) -> int:
+    """Fly a plan: preflight, arm, take off, follow the plan, hand over from station to station, land.
+
+    Ctrl-C in the air asks for the contingency in force; a second one lets go of the vehicle, whose own failsafe then
+    acts. Ends with 4 when the flight did not end as planned.
+    """
+    plan = inputs.plan(plan_file)
+    request = request_of(
+        plan,
+        links=links_of(plan, link),
+        autopilot=autopilot,
+        rate_hz=rate,
+        speedup=speedup,
+        log_path=log,
+        set_parameters=set_parameters,
+        handover_way=handover_way,
+        rally=rally,
+        fence=fence,
+        signing_key=signing_key,
+        allow_unsigned=allow_unsigned,
+    )
+    with Progress() as progress:
+        result, view = run(plan, request, progress, as_json=as_json)
+    conclude(plan, result, view, log=log, as_json=as_json)
+    return 0
+
+
+def links_of(plan: Plan, given: list[str]) -> dict[str, list[str]]:
+    """The URLs of each station the plan uses or holds in reserve, from ``ID=URL`` and bare URLs.
+
+    Bare ones are for the plan's stations without any of their own. Raises `BadInputError`.
+    """
+    from link.errors import EndpointUrlError
+    from link.transport.url import parse_url
+
+    known = {station.id for station in plan.mission.stations}
+    own: dict[str, list[str]] = {}
+    everybodys: list[str] = []
+    for text in given:
+        try:
+            parse_url(text)
+            station, url = None, text
+        except EndpointUrlError as error:
+            station, equals, url = text.partition("=")
+            if not equals:
+                raise BadInputError("a link cannot be read", {"where": "--link", "what": str(error)}) from None
+            if station not in known:
+                raise BadInputError(
+                    "a link is for a station the mission does not have",
+                    {"where": "--link", "value": station, "allowed": ", ".join(dict.fromkeys(plan.station_ids))},
+                ) from None
+            try:
+                parse_url(url)
+            except EndpointUrlError as fault:
+                raise BadInputError("a link cannot be read", {"where": "--link", "what": str(fault)}) from None
+        (everybodys if station is None else own.setdefault(station, [])).append(url)
+    if everybodys:
+        for name in plan.station_ids:
+            own.setdefault(name, everybodys)
+    usable = {station.id for station in plan.mission.stations if station.system_id is not None}
+    return {name: urls for name, urls in own.items() if name in usable}
+
+
+def request_of(plan: Plan, **fields: Any) -> FlightRequest:
+    """The flight asked for. Raises `BadInputError` with every reason it must not start."""
+    from link.errors import FlightRequestError
+    from link.session.request import FlightRequest
+
+    try:
+        return FlightRequest(plan=plan.to_document(), **fields)
+    except FlightRequestError as error:
+        raise refused(error.problems) from None
+
+
+def refused(problems: Any) -> BadInputError:
+    """A request the wire layer will not take."""
+    return BadInputError("the flight cannot start as asked", *faults_as_paragraphs(problems))
+
+
+def run(
+    plan: Plan, request: FlightRequest, progress: Progress, *, as_json: bool = False
+) -> tuple[FlightResult, FlightView]:
+    """Fly, showing the flight: how it ended, and what was seen of it.
+
+    Raises `BadInputError` for a flight the wire layer refuses, `FaultError` where the streamer cannot be started.
+    """
+    from api.cli.commands.flight_view import FlightView
+    from link.errors import FlightRequestError, SupervisorError
+    from link.streamer.supervisor import start_flight
+
+    view = FlightView(plan, progress)
+
+    def on_event(event: FlightEvent) -> None:
+        view(event)
+        if as_json:
+            sys.stdout.write(json.dumps(event.to_document(), allow_nan=False) + "\n")
+            sys.stdout.flush()
+
+    folder = Path(tempfile.mkdtemp(prefix="skyrelay-flight-"))
+    try:
+        flight = start_flight(request, on_event=on_event, run_dir=folder)
+    except FlightRequestError as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise refused(error.problems) from None
+    except SupervisorError as error:
+        raise FaultError("the streamer could not be started", {"what": str(error)}) from None
+    with held(flight, progress):
+        result = _wait(flight, progress)
+    if result.exit_code == 0 or result.state == "refused":
+        # What the streamer kept of such a flight is all in the report and the log; of others it may be looked at.
+        shutil.rmtree(folder, ignore_errors=True)
+    else:
+        progress.note(f"what the streamer kept of this flight is in {folder}")
+    return result, view
+
+
+@contextlib.contextmanager
+def held(flight: RunningFlight, progress: Progress) -> Iterator[None]:
+    """Whatever ends the block early, no streamer stays behind unwatched, but for one: a terminal that went away.
+
+    A dropped connection must not drop the flight too: the streamer goes on as far as it was authorised.
+    """
+    try:
+        yield
+    except BaseException as error:
+        if flight.result is None:
+            if isinstance(error, Terminated) and error.signal_number == signal.SIGHUP:
+                flight.detach()
+            else:
+                progress.note("letting go of the vehicle: its own failsafe has it now")
+                flight.kill()
+        raise
+
+
+def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
+    """Until the flight ends. The first Ctrl-C (or SIGTERM) in the air is the word `abort`; any other ends this."""
+    from gcs.flight import TransitionError
+
+    asked = False
+    while True:
+        try:
+            while flight.result is None:
+                with contextlib.suppress(TimeoutError):
+                    return flight.wait(_LOOK_S)
+            return flight.wait()
+        except (KeyboardInterrupt, Terminated) as error:
+            event = flight.last_event
+            dropped = isinstance(error, Terminated) and error.signal_number == signal.SIGHUP
+            if asked or dropped or event is None or not event.state.airborne:
+                raise
+            asked = True
+            progress.note("flying the contingency; Ctrl-C again lets go of the vehicle")
+            try:
+                flight.command("abort", by="Ctrl-C")
+            except TransitionError as refusal:
+                progress.note(f"refused: {refusal}")
+
+
+def conclude(
+    plan: Plan,
+    result: FlightResult,
+    view: FlightView,
+    *,
+    log: str | None = None,
+    as_json: bool = False,
+) -> None:
+    """Print the report; raises `ContingencyError` or `FaultError` where the flight did not end as planned."""
+    from api.cli.commands.flight_view import result_lines
+
+    if result.exit_code == 1:
+        raise FaultError("the flight ended by a fault of ours", {"what": result.reason})
+    report = "\n".join(result_lines(plan, result, log))
+    if result.exit_code == 0:
+        if not as_json:
+            sys.stdout.write(report + "\n")
+        return
+    paragraphs: list[Mapping[str, Any]] = [
+        {
+            "where": f"preflight, {check['name']}",
+            "what": check["message"],
+            "value": check.get("value"),
+            "allowed": check.get("required"),
+            "fix": _fix(plan, check),
+        }
+        for check in view.failed_checks
+    ]
+    if result.state == "refused":
+        raise ContingencyError(
+            "the flight was refused before take-off", *(paragraphs or [{"what": view.reason or result.reason}])
+        )
+    raise ContingencyError(f"the flight ended in {result.state}", {"what": view.reason, "report": report})
+
+
+def _fix(plan: Plan, check: Mapping[str, Any]) -> str | None:
+    """What to do about a finding of the preflight, in terms of the command line."""
+    from api.processes.simulator import home_under
+
+    if check["name"] == "transit":
+        return f"{check.get('fix')}; a simulator is put there with --home {home_under(plan)}"
+    if check.get("set"):
+        return f"{check.get('fix')}, or let `fly` do it with --set-parameters yes"
+    return check.get("fix")

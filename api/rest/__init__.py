@@ -1,0 +1,1 @@
+"""REST: the application, its middleware, problems, routes and schemas."""

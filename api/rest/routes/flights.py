@@ -1,0 +1,295 @@
+"""``/v1/flights``: a plan being flown, the operators' words to it, and its telemetry."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, WebSocket, WebSocketDisconnect
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import JSONResponse, Response
+
+from api.rest import schemas
+from api.rest.dependencies import Wired, services_of
+from api.rest.problems import ApiError
+from api.rest.routes import shared
+from api.rest.routes.plans import planned
+from api.rest.routes.shared import Cursor, Limit, MissionId
+from api.service.flight_status import FlightFold, outer_state
+from api.service.services import Services
+from gcs.flight import Word
+from gcs.store.flights import FlightRecord
+
+router = APIRouter(prefix="/v1/flights", tags=["flights"])
+
+FlightId = Annotated[str, Path(max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
+HandoverIndex = Annotated[int, Path(ge=1, le=100_000, description="As in the plan, from 1.")]
+# Telemetry at most so often; sooner only when something else than the position changes.
+_TELEMETRY_S = 0.2
+_QUIET_S = 15.0
+_RESULT_S = 2.0
+
+
+def shown(services: Services, record: FlightRecord, *, whole: bool) -> dict[str, Any]:
+    """A flight as `schemas.FlightSummary`, or with everything known (``whole``) as `schemas.FlightDetail`."""
+    fold = services.desk.look(record.id) if whole else FlightFold(state=record.state)
+    state = fold.state if whole and fold.sequence else record.state
+    body: dict[str, Any] = {
+        "id": record.id,
+        "mission_id": record.mission_id,
+        "version": record.version,
+        "plan_sha256": record.plan_sha256,
+        "vehicle_id": record.vehicle_id,
+        "state": outer_state(state),
+        "phase": state.value,
+        "created_utc": record.created_utc,
+        "changed_utc": record.changed_utc,
+        "ended_utc": record.ended_utc,
+    }
+    if whole:
+        body |= {
+            "preflight": {
+                "id": fold.preflight_id,
+                "passed": fold.passed,
+                "age_s": services.desk.preflight_age_s(record.id),
+                "checks": fold.checks,
+            },
+            "live": fold.live(),
+            "handover_states": {str(index): state for index, state in sorted(fold.handovers.items())},
+            "alarms": fold.alarms,
+            "result": fold.result,
+        }
+    return body
+
+
+@router.post(
+    "",
+    summary="Make a flight of a plan",
+    status_code=201,
+    responses={201: {"model": schemas.FlightDetail, "description": "In preflight; nothing is armed."}},
+)
+def create(services: Wired, body: schemas.NewFlight) -> Response:
+    """Connects to the vehicle over its links and judges it: see `preflight` of the answer's address."""
+    with shared.domain_errors():
+        record = services.store.missions.get(body.mission_id, body.version)
+        record = planned(services, body.mission_id, body.version)
+        if record.plan_sha256 != body.plan_sha256:
+            raise shared.conflict(f"the mission's plan is {record.plan_sha256}, not {body.plan_sha256}")
+        options = body.model_dump(exclude={"mission_id", "plan_sha256", "vehicle_id", "version"}, exclude_none=True)
+        flight = services.desk.create(
+            services.plan_of(record),
+            mission_id=record.id,
+            version=record.version,
+            vehicle_id=body.vehicle_id,
+            options=options,
+        )
+        content = shown(services, flight, whole=True)
+    return JSONResponse(content, status_code=201, headers={"Location": f"/v1/flights/{flight.id}"})
+
+
+@router.get("", summary="List flights")
+def list_flights(
+    services: Wired,
+    limit: Limit = 50,
+    cursor: Cursor = None,
+    mission_id: Annotated[str | None, Query(max_length=64, description="Only those of this mission.")] = None,
+    active: Annotated[bool, Query(description="Only those that have not ended.")] = False,
+) -> schemas.FlightPage:
+    """Newest first, a page at a time."""
+    with shared.domain_errors():
+        records = services.store.flights.page(
+            limit=limit + 1, before=shared.cursor_number(cursor), mission_id=mission_id, active=active
+        )
+        items = [shown(services, record, whole=False) for record in records[:limit]]
+    more = str(records[limit - 1].number) if len(records) > limit else None
+    return schemas.FlightPage.model_validate({"items": items, "next": more})
+
+
+@router.get("/{flight_id}", summary="Look at a flight")
+def get_flight(services: Wired, flight_id: FlightId) -> schemas.FlightDetail:
+    """State, preflight, where it is, alarms, how it ended."""
+    with shared.domain_errors():
+        body = shown(services, services.store.flights.get(flight_id), whole=True)
+    return schemas.FlightDetail.model_validate(body)
+
+
+@router.get("/{flight_id}/events", summary="Read a flight's history")
+def events(
+    services: Wired,
+    flight_id: FlightId,
+    after: Annotated[int, Query(ge=0, le=2**31 - 1, description="Sequence number of the last event known.")] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 200,
+) -> schemas.FlightEvents:
+    """Events in order, append-only: states, checks, commands, handovers, words, alarms, now and then a position."""
+    with shared.domain_errors():
+        services.store.flights.get(flight_id)
+        found = services.store.flights.events(flight_id, after=after, limit=limit)
+    return schemas.FlightEvents.model_validate({"items": [event.to_document() for event in found]})
+
+
+@router.post("/{flight_id}/launch", summary="Arm and go")
+def launch(services: Wired, flight_id: FlightId, body: schemas.LaunchWord) -> schemas.FlightDetail:
+    """Needs the plan's hash and a preflight that has passed and is under 60 s old."""
+    with shared.domain_errors():
+        services.desk.launch(
+            flight_id, plan_sha256=body.plan_sha256, preflight_id=body.preflight_id, by=body.by or "REST"
+        )
+    return get_flight(services, flight_id)
+
+
+def _say(
+    services: Services, flight_id: str, word: Word, body: schemas.Said | None, **fields: Any
+) -> schemas.FlightDetail:
+    said = body or schemas.Said(by=None, reason=None)
+    with shared.domain_errors():
+        services.desk.command(flight_id, word, by=said.by or "REST", reason=said.reason or "", **fields)
+    return get_flight(services, flight_id)
+
+
+@router.post("/{flight_id}/hold", summary="Stop on the path")
+def hold(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
+    """The stream goes on with zero velocity; the schedule shifts."""
+    return _say(services, flight_id, Word.HOLD, body)
+
+
+@router.post("/{flight_id}/resume", summary="Go on after a hold")
+def resume(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
+    """Coverage is checked again and the schedule re-timed."""
+    return _say(services, flight_id, Word.RESUME, body)
+
+
+@router.post("/{flight_id}/abort", summary="Fly the contingency in force")
+def abort(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
+    """On the ground: give the flight up."""
+    return _say(services, flight_id, Word.ABORT, body)
+
+
+@router.post("/{flight_id}/land", summary="Land where the vehicle is")
+def land(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
+    """At once, wherever that is."""
+    return _say(services, flight_id, Word.LAND, body)
+
+
+def _flown_plan(services: Services, flight_id: str, plan_sha256: str) -> dict[str, Any]:
+    """A plan this flight has flown: its mission's, or one it was given in the air."""
+    record = services.store.flights.get(flight_id)
+    if plan_sha256 == record.plan_sha256:
+        mission = services.store.missions.get(record.mission_id, record.version)
+        return dict(services.plan_of(mission).to_document())
+    return services.desk.replanned(flight_id, plan_sha256)
+
+
+@router.post("/{flight_id}/replan", summary="Plan on from the present state")
+def replan(services: Wired, flight_id: FlightId, body: schemas.ReplanWish | None = None) -> schemas.ReplanProposal:
+    """A new plan from where the flight stands, or from a moment ahead, for a person to accept; nothing changes yet.
+
+    Flown from launch to the new end it is one plan: the part already flown, and the new one joined on without a jump.
+    """
+    wish = body or schemas.ReplanWish.model_validate({})
+    with shared.domain_errors():
+        proposal = services.replanning.propose(
+            flight_id,
+            lambda sha256: _flown_plan(services, flight_id, sha256),
+            destination=wish.destination,
+            excluded_stations=wish.excluded_stations,
+            ahead_s=wish.ahead_s,
+        )
+    return schemas.ReplanProposal.model_validate(proposal.to_document())
+
+
+@router.post("/{flight_id}/replan/accept", summary="Fly a proposed plan")
+def accept_replan(services: Wired, flight_id: FlightId, body: schemas.ReplanWord) -> schemas.FlightDetail:
+    """The streamer judges it once more; handovers and contingencies are those of the new plan from now on."""
+    with shared.domain_errors():
+        services.store.flights.get(flight_id)
+        services.replanning.accept(flight_id, body.plan_sha256, by=body.by or "REST", reason=body.reason or "")
+    return get_flight(services, flight_id)
+
+
+@router.get(
+    "/{flight_id}/plan",
+    summary="Fetch the plan being flown",
+    responses={200: {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/PlanBody"}}}}},
+)
+def flown_plan(services: Wired, flight_id: FlightId) -> Response:
+    """The mission's plan, or the last one the flight was given in the air."""
+    with shared.domain_errors():
+        record = services.store.flights.get(flight_id)
+        sha256 = services.desk.look(flight_id).plan_sha256 or record.plan_sha256
+        return JSONResponse(_flown_plan(services, flight_id, sha256))
+
+
+@router.post("/{flight_id}/handovers/{index}/ready", summary="Stand by to take over")
+def ready(
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
+) -> schemas.FlightDetail:
+    """The next station's operator stands by."""
+    return _say(services, flight_id, Word.READY, body, handover=index)
+
+
+@router.post("/{flight_id}/handovers/{index}/accept", summary="Accept a handover")
+def accept(
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
+) -> schemas.FlightDetail:
+    """As `ready`, and takes a refusal back."""
+    return _say(services, flight_id, Word.ACCEPT, body, handover=index)
+
+
+@router.post("/{flight_id}/handovers/{index}/refuse", summary="Refuse a handover")
+def refuse(
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
+) -> schemas.FlightDetail:
+    """The present station stays in control; the flight waits before the next range, and then flies the contingency."""
+    return _say(services, flight_id, Word.REFUSE, body, handover=index)
+
+
+@router.websocket("/{flight_id}/telemetry")
+async def telemetry(socket: WebSocket, flight_id: MissionId) -> None:
+    """The live state (`live` of a flight) as JSON: now, and whenever it changes, until the flight ends."""
+    services = services_of(socket)
+
+    def look() -> FlightFold:
+        with shared.domain_errors():
+            services.store.flights.get(flight_id)
+            return services.desk.look(flight_id)
+
+    await socket.accept()
+    try:
+        fold = await run_in_threadpool(look)
+    except ApiError as error:
+        await socket.close(code=4404 if error.status == 404 else 1011, reason=error.detail[:120])
+        return
+    gone = asyncio.ensure_future(_until_gone(socket))
+    try:
+        with services.changes.watch(flight_id) as changed:
+            ended_s = 0.0
+            while not gone.done():
+                changed.clear()
+                sent_s = time.monotonic()
+                await socket.send_json({"flight_id": flight_id, **fold.live()})
+                if fold.state.ended:
+                    # The figures follow the end by a moment.
+                    ended_s = ended_s or sent_s
+                    if fold.result is not None or sent_s - ended_s > _RESULT_S:
+                        await socket.close(code=1000)
+                        return
+                waiting = asyncio.ensure_future(changed.wait())
+                await asyncio.wait(
+                    {waiting, gone}, timeout=_RESULT_S if ended_s else _QUIET_S, return_when=asyncio.FIRST_COMPLETED
+                )
+                waiting.cancel()
+                await asyncio.sleep(max(0.0, _TELEMETRY_S - (time.monotonic() - sent_s)))
+                fold = await run_in_threadpool(services.desk.look, flight_id)
+    except (WebSocketDisconnect, RuntimeError):
+        return
+    finally:
+        gone.cancel()
+
+
+async def _until_gone(socket: WebSocket) -> None:
+    """Read and ignore what the other side sends, until it closes."""
+    while True:
+        message = await socket.receive()
+        if message["type"] == "websocket.disconnect":
+            return

@@ -1,0 +1,201 @@
+"""``/v1/stations``, ``/v1/vehicles``, ``/v1/links``: things known by name, which flights refer to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Path, Query
+from pydantic import BaseModel
+from starlette.responses import JSONResponse, Response
+
+from api.rest import schemas
+from api.rest.dependencies import Wired
+from api.rest.problems import NotFoundError, UnprocessableError
+from api.rest.routes import shared
+from api.rest.routes.shared import Limit
+from api.service.services import Services
+from gcs.store.registries import Entry
+from link.errors import EndpointUrlError
+from link.transport.url import parse_url
+
+router = APIRouter(prefix="/v1", tags=["registries"])
+
+EntryId = Annotated[
+    str,
+    Path(
+        max_length=64,
+        pattern=schemas.ENTRY_ID,
+        description="Its name: letters, digits, blanks and . _ - : + # ( ) ' &, beginning with a letter or digit.",
+        examples=["den-helder"],
+    ),
+]
+After = Annotated[str | None, Query(max_length=64, alias="cursor", description="`next` of the page before.")]
+IfMatch = Annotated[
+    str | None,
+    Header(
+        alias="If-Match",
+        pattern=r'^"?[0-9]{1,9}"?$',
+        description="Revision that is to be replaced (0: there must be none); refused when another stands there.",
+    ),
+]
+
+
+def _shown(entry: Entry) -> dict[str, Any]:
+    return {
+        "id": entry.id,
+        **entry.document,
+        "revision": entry.revision,
+        "created_utc": entry.created_utc,
+        "changed_utc": entry.changed_utc,
+    }
+
+
+def _put(services: Services, kind: str, entry_id: str, body: BaseModel, if_match: str | None) -> Response:
+    document = body.model_dump(exclude_none=True)
+    revision = None if if_match is None else int(if_match.strip('"'))
+    with shared.domain_errors():
+        entry, is_new = services.store.registry.put(kind, entry_id, document, revision=revision)
+    return JSONResponse(_shown(entry), status_code=201 if is_new else 200, headers={"ETag": f'"{entry.revision}"'})
+
+
+def _page(services: Services, kind: str, limit: int, after: str | None) -> dict[str, Any]:
+    with shared.domain_errors():
+        entries = services.store.registry.page(kind, limit=limit + 1, after=after)
+    more = entries[limit - 1].id if len(entries) > limit else None
+    return {"items": [_shown(e) for e in entries[:limit]], "next": more}
+
+
+def _check_station(body: schemas.RegisteredStation, _services: Services) -> None:
+    """Nothing beyond what the model asks."""
+
+
+def _check_link(body: schemas.RegisteredLink, _services: Services) -> None:
+    try:
+        parse_url(body.url)
+    except EndpointUrlError as error:
+        raise UnprocessableError(
+            str(error),
+            errors=[
+                {
+                    "where": "body.url",
+                    "what": "is not a link address",
+                    "value": body.url,
+                    "allowed": "udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD",
+                    "fix": "e.g. udpout:127.0.0.1:14540",
+                }
+            ],
+        ) from None
+
+
+def _check_vehicle(body: schemas.RegisteredVehicle, services: Services) -> None:
+    missing = []
+    for station, link in body.links.items():
+        try:
+            with shared.domain_errors():
+                services.store.registry.get("link", link)
+        except NotFoundError:
+            missing.append(
+                {
+                    "where": f"body.links.{station}",
+                    "what": "names a link nobody registered",
+                    "value": link,
+                    "fix": f"PUT /v1/links/{link} first",
+                }
+            )
+    if missing:
+        raise UnprocessableError("the vehicle names links nobody registered", errors=missing)
+
+
+def _add_routes(
+    kind: str,
+    plural: str,
+    model: type[BaseModel],
+    entry: type[BaseModel],
+    check: Callable[[Any, Services], None],
+    what: str,
+) -> None:
+    described: dict[int | str, dict[str, Any]] = {
+        200: {"model": entry, "description": "Replaced."},
+        201: {"model": entry, "description": "Added."},
+    }
+
+    def put(services: Wired, entry_id: EntryId, body: Any, if_match: IfMatch = None) -> Response:
+        check(body, services)
+        return _put(services, kind, entry_id, body, if_match)
+
+    # FastAPI reads the body's type from here; it differs from kind to kind.
+    put.__annotations__["body"] = model
+
+    def get(services: Wired, entry_id: EntryId) -> Response:
+        with shared.domain_errors():
+            found = services.store.registry.get(kind, entry_id)
+        return JSONResponse(_shown(found), headers={"ETag": f'"{found.revision}"'})
+
+    def page(services: Wired, limit: Limit = 50, after: After = None) -> schemas.RegistryPage:
+        return schemas.RegistryPage.model_validate(_page(services, kind, limit, after))
+
+    def remove(services: Wired, entry_id: EntryId) -> Response:
+        with shared.domain_errors():
+            services.store.registry.remove(kind, entry_id)
+        return Response(status_code=204)
+
+    one = f"/{plural}/{{entry_id}}"
+    add = router.add_api_route
+    add(f"/{plural}", page, methods=["GET"], summary=f"List {plural}", name=f"list_{plural}", description=what)
+    add(
+        one,
+        put,
+        methods=["PUT"],
+        summary=f"Add or replace a {kind}",
+        name=f"put_{kind}",
+        description=what,
+        responses=described,
+        response_model=None,
+    )
+    add(
+        one,
+        get,
+        methods=["GET"],
+        summary=f"Look at a {kind}",
+        name=f"get_{kind}",
+        description=what,
+        responses={200: {"model": entry}},
+        response_model=None,
+    )
+    add(
+        one,
+        remove,
+        methods=["DELETE"],
+        summary=f"Forget a {kind}",
+        name=f"remove_{kind}",
+        description=what,
+        status_code=204,
+        response_class=Response,
+    )
+
+
+_add_routes(
+    "station",
+    "stations",
+    schemas.RegisteredStation,
+    schemas.StationEntry,
+    _check_station,
+    "A ground station: place, range, people. For missions to be put together from.",
+)
+_add_routes(
+    "vehicle",
+    "vehicles",
+    schemas.RegisteredVehicle,
+    schemas.VehicleEntry,
+    _check_vehicle,
+    "A vehicle: its autopilot, and by which link each station reaches it.",
+)
+_add_routes(
+    "link",
+    "links",
+    schemas.RegisteredLink,
+    schemas.LinkEntry,
+    _check_link,
+    "A link: where a station's radio is reached. Named here so that flights need not know addresses.",
+)

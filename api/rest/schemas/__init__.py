@@ -1,0 +1,74 @@
+"""Bodies of requests and answers, as the OpenAPI document describes them; a module a group of routes."""
+
+from __future__ import annotations
+
+from api.rest.schemas.base import BAD_INPUT_EXAMPLE, INFEASIBLE_EXAMPLE, InfeasibleProblem, Problem
+from api.rest.schemas.flights import (
+    FlightDetail,
+    FlightEvents,
+    FlightPage,
+    FlightSummary,
+    LaunchWord,
+    NewFlight,
+    ReplanProposal,
+    ReplanWish,
+    ReplanWord,
+    Said,
+)
+from api.rest.schemas.missions import (
+    LOCAL_MISSION_EXAMPLE,
+    MISSION_EXAMPLE,
+    MissionBody,
+    MissionDetail,
+    MissionPage,
+    MissionProblem,
+    MissionSummary,
+    PlanBody,
+    Status,
+    VersionList,
+)
+from api.rest.schemas.registries import (
+    ENTRY_ID,
+    LinkEntry,
+    RegisteredLink,
+    RegisteredStation,
+    RegisteredVehicle,
+    RegistryPage,
+    StationEntry,
+    VehicleEntry,
+)
+
+__all__ = [
+    "BAD_INPUT_EXAMPLE",
+    "ENTRY_ID",
+    "INFEASIBLE_EXAMPLE",
+    "LOCAL_MISSION_EXAMPLE",
+    "MISSION_EXAMPLE",
+    "FlightDetail",
+    "FlightEvents",
+    "FlightPage",
+    "FlightSummary",
+    "InfeasibleProblem",
+    "LaunchWord",
+    "LinkEntry",
+    "MissionBody",
+    "MissionDetail",
+    "MissionPage",
+    "MissionProblem",
+    "MissionSummary",
+    "NewFlight",
+    "PlanBody",
+    "Problem",
+    "RegisteredLink",
+    "RegisteredStation",
+    "RegisteredVehicle",
+    "RegistryPage",
+    "ReplanProposal",
+    "ReplanWish",
+    "ReplanWord",
+    "Said",
+    "StationEntry",
+    "Status",
+    "VehicleEntry",
+    "VersionList",
+]

@@ -1,0 +1,78 @@
+"""Stations, links and vehicles known by name."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from api.rest.schemas.base import Closed
+
+ENTRY_ID = r"^[^\W_][\w .:+#()'&-]{0,63}$"
+
+
+class RegisteredStation(Closed):
+    """A ground station known by name."""
+
+    lat_deg: float = Field(ge=-90, le=90, allow_inf_nan=False, examples=[52.9234])
+    lon_deg: float = Field(ge=-180, le=180, allow_inf_nan=False, examples=[4.7806])
+    alt_amsl_m: float = Field(ge=-1000, le=50_000, description="Of the antenna, above mean sea level.", examples=[1.0])
+    range_m: float = Field(gt=0, le=500_000, description="Slant range, m.", examples=[16000.0])
+    name: str | None = Field(None, max_length=200)
+    system_id: int | None = Field(None, ge=1, le=254, description="Its MAVLink id.")
+    contact: str | None = Field(None, max_length=200)
+    radio_channel: str | None = Field(None, max_length=200)
+    hours: str | None = Field(None, max_length=200, description="When it is staffed, for people.")
+    min_elevation_deg: float | None = Field(None, ge=-90, le=90)
+
+
+class RegisteredLink(Closed):
+    """Where a station's radio is reached."""
+
+    url: str = Field(
+        max_length=200,
+        description="udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.",
+        examples=["udpout:127.0.0.1:14540"],
+    )
+    description: str | None = Field(None, max_length=500)
+
+
+class RegisteredVehicle(Closed):
+    """A vehicle and the links that lead to it."""
+
+    autopilot: Literal["px4", "ardupilot"]
+    links: dict[str, str] = Field(
+        min_length=1,
+        max_length=1000,
+        description="Link by station id; `*` stands for every station not named.",
+        examples=[{"*": "simulator"}],
+    )
+    name: str | None = Field(None, max_length=200)
+
+
+class Entry(Closed):
+    """What the registry adds to an entry."""
+
+    id: str
+    revision: int = Field(ge=1, description="How often it was written; for If-Match.")
+    created_utc: str
+    changed_utc: str
+
+
+class StationEntry(Entry, RegisteredStation):
+    """A ground station as the registry shows it."""
+
+
+class LinkEntry(Entry, RegisteredLink):
+    """A link as the registry shows it."""
+
+
+class VehicleEntry(Entry, RegisteredVehicle):
+    """A vehicle as the registry shows it."""
+
+
+class RegistryPage(Closed):
+    """Entries in order of their names. ``next`` goes into ``cursor`` for the page after this one; null at the end."""
+
+    items: list[dict[str, Any]]
+    next: str | None

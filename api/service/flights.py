@@ -1,0 +1,329 @@
+"""Flights of the service: started, spoken to, watched. A streamer outlives the service, which finds it again.
+
+Wires `link.streamer.supervisor` (processes), the store (records and history) and those who watch. Everything here may
+block and is called from threads; the streamer's events come on a thread of their own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from api.service.changes import Changes
+from api.service.flight_status import FlightFold
+from gcs.errors import ConflictError, NotFoundError, StoreError
+from gcs.exports.handovers import write_atomic
+from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
+from gcs.plan.model import Plan
+from gcs.settings import Settings
+from gcs.store.flights import FlightRecord
+from gcs.store.store import Store
+from link.errors import LinkError, SupervisorError
+from link.session.request import FlightRequest
+from link.streamer.supervisor import RunningFlight, attach, start_flight
+
+log = structlog.get_logger("api.flights")
+
+# Where the vehicle is comes once a second; the history keeps one so often (wall seconds).
+_KEEP_PROGRESS_S = 5.0
+PREFLIGHT_VALID_S = 60.0
+_PROPOSALS_KEPT = 20
+
+
+class _Journal:
+    """The store's journal, with the stream of positions thinned."""
+
+    def __init__(self, store: Store, flight_id: str) -> None:
+        self._journal = store.flights.journal(flight_id)
+        self._kept_s = -float("inf")
+
+    def append(self, event: FlightEvent) -> None:
+        """Keep ``event`` (`gcs.flight.Journal`)."""
+        if event.kind is EventKind.PROGRESS:
+            now_s = time.monotonic()
+            if now_s - self._kept_s < _KEEP_PROGRESS_S:
+                return
+            self._kept_s = now_s
+        self._journal.append(event)
+
+
+@dataclass
+class _Watched:
+    """A flight whose streamer runs, as far as known. ``flight`` is None until it is connected."""
+
+    fold: FlightFold
+    speedup: float
+    flight: RunningFlight | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class FlightDesk:
+    """All flights of a service."""
+
+    def __init__(self, settings: Settings, store: Store, changes: Changes) -> None:
+        self._settings = settings
+        self._store = store
+        self._changes = changes
+        self._watched: dict[str, _Watched] = {}
+
+    # -- starting -----------------------------------------------------------------------------------------------------
+
+    def create(
+        self, plan: Plan, *, mission_id: str, version: int, vehicle_id: str, options: Mapping[str, Any]
+    ) -> FlightRecord:
+        """A flight of ``plan``, its streamer started; nothing is armed before the word to launch.
+
+        Raises `gcs.errors.NotFoundError` (vehicle or link), `ConflictError` (the vehicle flies, the plan is another),
+        `link.errors.FlightRequestError` and `SupervisorError`.
+        """
+        vehicle = self._store.registry.get("vehicle", vehicle_id).document
+        links = self._links(plan, vehicle)
+        request = FlightRequest(
+            plan=plan.to_document(), autopilot=vehicle["autopilot"], links=links, auto_launch=False, **options
+        )
+        record = self._store.flights.add(
+            mission_id=mission_id,
+            version=version,
+            plan_sha256=plan.plan_sha256,
+            vehicle_id=vehicle_id,
+            document={"autopilot": vehicle["autopilot"], "links": links, "options": dict(options)},
+        )
+        folder = self._folder(record.id)
+        document = {**record.document, "run_dir": str(folder)}
+        record = self._store.flights.update(record.id, document)
+        watched = self._watched[record.id] = _Watched(FlightFold(), request.speedup)
+        try:
+            sent = replace(request, flight_id=record.id, log_path=str(folder / "flight.tlog"))
+            watched.flight = start_flight(
+                sent, _Journal(self._store, record.id), self._listener(record.id, watched), run_dir=folder
+            )
+        except (LinkError, OSError) as error:
+            del self._watched[record.id]
+            self._end_unstarted(record.id, str(error))
+            raise
+        return self._store.flights.get(record.id)
+
+    def _links(self, plan: Plan, vehicle: Mapping[str, Any]) -> dict[str, str]:
+        """A URL for each station of the plan, by the vehicle's link names.
+
+        And for those in reserve, which have an id in the mission and a link of their own.
+        """
+        names: dict[str, str] = vehicle["links"]
+        links = {}
+        reserve = [s.id for s in plan.mission.stations if s.system_id is not None and s.id in names]
+        for station in dict.fromkeys([*plan.station_ids, *reserve]):
+            name = names.get(station, names.get("*"))
+            if name is not None:
+                links[station] = str(self._store.registry.get("link", name).document["url"])
+        return links
+
+    def _folder(self, flight_id: str) -> Path:
+        """Where a flight's streamer keeps its things."""
+        folder = self._settings.data_dir / "flights" / flight_id
+        folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        return folder
+
+    def _end_unstarted(self, flight_id: str, why: str) -> None:
+        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        data = {"from": FlightState.CONNECTING.value, "to": FlightState.REFUSED.value, "reason": why}
+        event = FlightEvent(1, EventKind.STATE, 0.0, None, now, FlightState.REFUSED, data)
+        with contextlib.suppress(StoreError):
+            self._store.flights.append(flight_id, event)
+
+    def _listener(self, flight_id: str, watched: _Watched) -> Any:
+        def on_event(event: FlightEvent) -> None:
+            with watched.lock:
+                watched.fold.apply(event)
+            self._changes.tell(flight_id)
+
+        return on_event
+
+    # -- finding again ------------------------------------------------------------------------------------------------
+
+    def reattach(self) -> None:
+        """Connect to the streamers of flights that had not ended when the service last did."""
+        for record in self._store.flights.page(limit=1000, active=True):
+            try:
+                self._reattach(record)
+            except StoreError as error:
+                log.warning("flight not found again", flight=record.id, error=str(error))
+
+    def _reattach(self, record: FlightRecord) -> None:
+        folder = Path(record.document.get("run_dir") or "/nonexistent")
+        fold = self._fold_of(record.id)
+        watched = _Watched(fold, float(record.document.get("options", {}).get("speedup", 1.0)))
+        journal, listener = _Journal(self._store, record.id), self._listener(record.id, watched)
+        try:
+            watched.flight = attach(folder, journal, listener, after=fold.sequence)
+        except SupervisorError:
+            self._catch_up(record, folder, fold)
+            return
+        self._watched[record.id] = watched
+        log.info("flight found again", flight=record.id, state=fold.state.value)
+
+    def _catch_up(self, record: FlightRecord, folder: Path, fold: FlightFold) -> None:
+        """No streamer runs any more: take over what it wrote meanwhile, and say how it ended."""
+        journal = self._store.flights
+        with contextlib.suppress(OSError, ValueError, KeyError):
+            for line in (folder / "events.jsonl").read_bytes().splitlines():
+                event = FlightEvent.from_document(json.loads(line))
+                if event.sequence > fold.sequence:
+                    journal.append(record.id, event)
+                    fold.apply(event)
+        if fold.state.ended:
+            return
+        state = FlightState.LOST if fold.state.airborne else FlightState.REFUSED
+        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        data = {"what": "the streamer died while the service was away", "from": fold.state.value}
+        event = FlightEvent(fold.sequence + 1, EventKind.ALARM, 0.0, fold.t_plus_s, now, state, data)
+        journal.append(record.id, event)
+        log.error("flight lost its streamer", flight=record.id, state=state.value)
+
+    def close(self) -> None:
+        """Let go of flights in the air, which go on as far as authorised; end those that never left the ground."""
+        for flight_id, watched in list(self._watched.items()):
+            flight = watched.flight
+            if flight is None or flight.result is not None:
+                continue
+            if watched.fold.state.airborne or watched.fold.state is FlightState.ARMING:
+                log.warning("the flight goes on without the service", flight=flight_id, streamer=flight.pid)
+                flight.detach()
+            else:
+                with contextlib.suppress(TransitionError, SupervisorError, TimeoutError):
+                    flight.command(Word.ABORT, by="service", reason="the service ends")
+                    flight.wait(3.0)
+                if flight.result is None:
+                    flight.kill()
+        self._watched.clear()
+
+    # -- speaking -----------------------------------------------------------------------------------------------------
+
+    def command(self, flight_id: str, word: Word, **fields: Any) -> None:
+        """Say a word to a flight.
+
+        Raises `gcs.errors.NotFoundError`, `ConflictError` (it has ended), `TransitionError` (it may not be said now),
+        `SupervisorError`.
+        """
+        self._running(flight_id).command(word, **fields)
+
+    def launch(self, flight_id: str, *, plan_sha256: str, preflight_id: int, by: str) -> None:
+        """The word to launch: for this plan, on this preflight, which has passed and is under 60 s old.
+
+        Raises as `command` does.
+        """
+        flight = self._running(flight_id)
+        status = flight.status()
+        watched = self._watched[flight_id]
+        if status["plan_sha256"] != plan_sha256:
+            raise ConflictError(f"the flight is of plan {status['plan_sha256']}, not {plan_sha256}")
+        if status["state"] != FlightState.READY.value:
+            raise ConflictError(f"the preflight has not passed: the flight is {status['state']}")
+        if status["preflight_id"] != preflight_id:
+            raise ConflictError(f"the last preflight is {status['preflight_id']}, not {preflight_id}")
+        # The streamer's clock runs ``speedup`` times as fast as a person's.
+        age_s = float(status["preflight_age_s"] or 0.0) / watched.speedup
+        if age_s >= PREFLIGHT_VALID_S:
+            raise ConflictError(
+                f"the preflight is {age_s:.0f} s old, allowed is under {PREFLIGHT_VALID_S:.0f} s; "
+                "abort this flight and make another"
+            )
+        flight.command(Word.LAUNCH, by=by, plan_sha256=plan_sha256)
+
+    def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:
+        """Give a flight another plan to fly from here on. Raises as `command` does."""
+        self._running(flight_id).replan(document, **fields)
+
+    def keep_proposal(self, flight_id: str, proposal: Mapping[str, Any]) -> None:
+        """Keep a plan proposed to a flight, by the plan's hash, in its run folder: a service that starts anew finds it.
+
+        The last `_PROPOSALS_KEPT` are kept.
+        """
+        folder = self._run_dir(flight_id)
+        write_atomic(folder / f"proposal-{proposal['plan']['plan_sha256']}.json", json.dumps(proposal, allow_nan=False))
+        by_age = sorted(folder.glob("proposal-*.json"), key=lambda path: path.stat().st_mtime_ns)
+        for path in by_age[:-_PROPOSALS_KEPT]:
+            path.unlink(missing_ok=True)
+
+    def proposal(self, flight_id: str, plan_sha256: str) -> dict[str, Any]:
+        """What `keep_proposal` kept. Raises `NotFoundError`."""
+        try:
+            kept: dict[str, Any] = json.loads((self._run_dir(flight_id) / f"proposal-{plan_sha256}.json").read_bytes())
+        except (OSError, ValueError):
+            raise NotFoundError(
+                f"no plan {plan_sha256} is proposed to flight {flight_id}: ask for one and accept that"
+            ) from None
+        return kept
+
+    def request(self, flight_id: str) -> FlightRequest:
+        """What a flight was asked to do. Raises `NotFoundError`."""
+        try:
+            return FlightRequest.from_document(json.loads((self._run_dir(flight_id) / "request.json").read_bytes()))
+        except (OSError, ValueError):
+            raise NotFoundError(f"what flight {flight_id} was asked to do is not kept any more") from None
+
+    def _run_dir(self, flight_id: str) -> Path:
+        return Path(self._store.flights.get(flight_id).document.get("run_dir") or "/nonexistent")
+
+    def status(self, flight_id: str) -> dict[str, Any]:
+        """What the streamer says of a flight now. Raises as `command` does, but no `TransitionError`."""
+        return self._running(flight_id).status()
+
+    def replanned(self, flight_id: str, plan_sha256: str) -> dict[str, Any]:
+        """A plan that was given to a flight in the air. Raises `NotFoundError`."""
+        folder = self._run_dir(flight_id)
+        try:
+            document: dict[str, Any] = json.loads((folder / f"plan-{plan_sha256}.json").read_bytes())
+        except (OSError, ValueError):
+            raise NotFoundError(f"flight {flight_id} was not given a plan {plan_sha256}") from None
+        return document
+
+    def _running(self, flight_id: str) -> RunningFlight:
+        watched = self._watched.get(flight_id)
+        if watched is None or watched.flight is None or watched.flight.result is not None:
+            record = self._store.flights.get(flight_id)
+            raise ConflictError(f"flight {flight_id} is {record.state.value} and takes no words any more")
+        return watched.flight
+
+    # -- looking ------------------------------------------------------------------------------------------------------
+
+    def look(self, flight_id: str) -> FlightFold:
+        """What a flight's events amount to now: from memory while it runs here, else from the store."""
+        watched = self._watched.get(flight_id)
+        return self._fold_of(flight_id) if watched is None else watched.fold
+
+    def _fold_of(self, flight_id: str) -> FlightFold:
+        fold, after = FlightFold(), 0
+        while events := self._store.flights.events(flight_id, after=after):
+            for event in events:
+                fold.apply(event)
+            after = events[-1].sequence
+        return fold
+
+    def preflight_age_s(self, flight_id: str) -> float | None:
+        """Age of a running flight's last preflight, wall seconds; None where there is none or nobody to ask."""
+        watched = self._watched.get(flight_id)
+        if watched is None or watched.flight is None or watched.flight.result is not None:
+            return None
+        try:
+            age = watched.flight.status()["preflight_age_s"]
+        except SupervisorError:
+            return None
+        return None if age is None else float(age) / watched.speedup
+
+    def counts(self) -> dict[str, int]:
+        """Running flights by state."""
+        found: dict[str, int] = {}
+        for watched in list(self._watched.values()):
+            if watched.flight is not None and watched.flight.result is None:
+                state = watched.fold.state.value
+                found[state] = found.get(state, 0) + 1
+        return found

@@ -1,0 +1,130 @@
+"""What routes work with: the store, the planning jobs, caches; opened and closed with the application."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from api.service.changes import Changes
+from api.service.flights import FlightDesk
+from api.service.metrics import Metrics
+from api.service.replanning import Replanning
+from gcs.errors import StoreUnavailable
+from gcs.jobs.planning_pool import PlanningPool
+from gcs.plan.model import Plan
+from gcs.settings import Settings
+from gcs.store.missions import MissionRecord
+from gcs.store.store import Store
+
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V")
+
+
+class Cache(Generic[K, V]):
+    """The last ``size`` values asked for; used from several threads. What is made twice at once is made twice."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._lock = threading.Lock()
+        self._held: OrderedDict[K, V] = OrderedDict()
+
+    def get(self, key: K, make: Callable[[], V]) -> V:
+        """The value of ``key``, made where it is not held."""
+        with self._lock:
+            if key in self._held:
+                self._held.move_to_end(key)
+                return self._held[key]
+        value = make()
+        with self._lock:
+            self._held[key] = value
+            while len(self._held) > self._size:
+                self._held.popitem(last=False)
+        return value
+
+
+@dataclass(frozen=True)
+class PlanFacts:
+    """What a list of missions shows of a plan."""
+
+    mission_time_s: float
+    handover_count: int
+
+
+@dataclass
+class Services:
+    """The parts of a running service."""
+
+    settings: Settings
+    metrics: Metrics
+    store: Store
+    pool: PlanningPool
+    changes: Changes
+    desk: FlightDesk
+    replanning: Replanning
+    plans: Cache[str, Plan] = field(default_factory=lambda: Cache(16))
+    facts: Cache[str, PlanFacts] = field(default_factory=lambda: Cache(10_000))
+
+    @classmethod
+    @contextlib.contextmanager
+    def open(cls, settings: Settings, metrics: Metrics) -> Iterator[Services]:
+        """Open the store, start the planners; end them with the block. Raises `StoreUnavailable`, ``OSError``."""
+        settings.prepare()
+        changes = Changes()
+        changes.bind(asyncio.get_running_loop())
+
+        def on_change(record: MissionRecord) -> None:
+            changes.tell(record.id)
+            if record.status in ("planned", "infeasible", "failed"):
+                metrics.observe_planning(record.status, record.created_utc, record.changed_utc)
+
+        with Store(settings.url, lock_timeout_s=settings.lock_timeout_s) as store:
+            pool = PlanningPool(
+                store,
+                processes=settings.planner_processes,
+                limit_s=settings.planning_limit_s,
+                on_change=on_change,
+            )
+            desk = FlightDesk(settings, store, changes)
+            services = cls(settings, metrics, store, pool, changes, desk, Replanning(desk, pool))
+            metrics.watch_counts("skyrelay_missions", "Mission versions by status", services.mission_counts)
+            metrics.watch_counts("skyrelay_planners", "Planning processes by state", pool.stats)
+            metrics.watch_counts("skyrelay_flights", "Running flights by state", desk.counts)
+            pool.start()
+            try:
+                desk.reattach()
+                yield services
+            finally:
+                desk.close()
+                pool.stop()
+
+    def mission_counts(self) -> dict[str, int]:
+        """Mission versions by status; none while the store cannot be used, so that the other metrics still show."""
+        try:
+            return self.store.missions.counts()
+        except StoreUnavailable:
+            return {}
+
+    def plan_of(self, record: MissionRecord) -> Plan:
+        """The plan of a planned version."""
+        assert record.plan_sha256 is not None
+
+        def load() -> Plan:
+            return Plan.from_document(self.store.missions.plan(record.id, record.version))
+
+        return self.plans.get(record.plan_sha256, load)
+
+    def facts_of(self, record: MissionRecord) -> PlanFacts | None:
+        """What lists show of a version's plan; None while it has none."""
+        if record.status != "planned" or record.plan_sha256 is None:
+            return None
+
+        def load() -> PlanFacts:
+            document = self.store.missions.plan(record.id, record.version) or {}
+            return PlanFacts(float(document["mission_time_s"]), len(document["handovers"]))
+
+        return self.facts.get(record.plan_sha256, load)

@@ -1,0 +1,1 @@
+"""Plans and schedules in other forms."""

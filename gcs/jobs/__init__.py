@@ -1,0 +1,1 @@
+"""Planning as jobs in processes of their own."""

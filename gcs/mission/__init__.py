@@ -1,0 +1,1 @@
+"""What is to be flown: the mission, its document, system ids, hours."""

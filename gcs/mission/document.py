@@ -1,0 +1,411 @@
+"""A mission as JSON: reading it with every fault found, and writing it with every default filled in.
+
+What is *malformed* is refused here, before anything is stored: wrong types, numbers out of range, unknown names, ids
+used twice. What is well said but cannot be flown (a start outside the altitude band or out of every range) is
+*infeasible*, and found by planning.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import unicodedata
+from collections.abc import Mapping
+from dataclasses import fields
+
+import numpy as np
+
+from gcs.document_reader import MAX_DOCUMENT_BYTES, FaultList, Reader, parse_json, type_name
+from gcs.errors import Fault, MissionError
+from gcs.geodesy.ellipsoid import slant_range_m
+from gcs.mission.model import (
+    MAX_STATIONS,
+    GeoPosition,
+    LocalPosition,
+    Mission,
+    MissionLimits,
+    MissionOptions,
+    Position,
+    SafePoint,
+    StartState,
+    Station,
+)
+from gcs.mission.system_ids import HIGHEST_SYSTEM_ID, LOWEST_SYSTEM_ID, assign_system_ids
+
+GEO_FIELDS = ("lat_deg", "lon_deg", "alt_amsl_m")
+LOCAL_FIELDS = ("east_m", "north_m", "up_m")
+STATION_FIELDS = ("id", "name", "range_m", "system_id", "contact", "radio_channel", "hours", "min_elevation_deg")
+LIMIT_FIELDS = (
+    "min_alt_amsl_m",
+    "max_alt_amsl_m",
+    "max_speed_m_s",
+    "max_accel_m_s2",
+    "max_jerk_m_s3",
+    "max_climb_m_s",
+    "max_descent_m_s",
+    "max_airspeed_m_s",
+    "wind",
+    "endurance_s",
+    "reserve_s",
+)
+OPTION_FIELDS = tuple(f.name for f in fields(MissionOptions))
+_STATION_KEYS = frozenset((*STATION_FIELDS, *GEO_FIELDS, *LOCAL_FIELDS))
+MISSION_FIELDS = ("name", "origin", "start", "destination", "stations", "limits", "safe_points", "options")
+
+LOWEST_ALT_M, HIGHEST_ALT_M = -1_000.0, 50_000.0
+MAX_RANGE_M = 500_000.0
+# How far anything may be from the start (WGS84) or the origin, per axis (local).
+MAX_SPAN_M = 1_000_000.0
+MAX_SPEED_M_S = 1_000.0
+MAX_TIME_S = 1_000_000.0
+MAX_SAFE_POINTS = 1_000
+# As long as so few faults are found, it is said what a wrong id may have been meant for.
+MAX_GUESSES = 10
+
+
+def parse_mission_json(
+    data: bytes | str, *, max_bytes: int = MAX_DOCUMENT_BYTES, max_stations: int = MAX_STATIONS
+) -> Mission:
+    """The mission of JSON text; raises `MissionError`. See `gcs.document_reader.parse_json` for what counts as JSON."""
+    return read_mission(parse_json(data, max_bytes=max_bytes), max_stations=max_stations)
+
+
+def parse_option(text: str) -> tuple[str, object]:
+    """``NAME=VALUE`` as (name, JSON value); a value that is not JSON is text. Raises `MissionError`."""
+    name, equals, value = text.partition("=")
+    name = name.strip()
+    if not equals or name not in OPTION_FIELDS:
+        close = difflib.get_close_matches(name, OPTION_FIELDS, n=1)
+        fix = f"did you mean {close[0]}?" if close else "write NAME=VALUE"
+        raise MissionError([Fault(f"options.{name or '?'}", "is not an option", text, ", ".join(OPTION_FIELDS), fix)])
+    try:
+        return name, parse_json(value)
+    except MissionError:
+        return name, value.strip()
+
+
+def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Mission:
+    """The mission of a parsed document; raises `MissionError` with every fault found."""
+    faults = FaultList()
+    _refuse_strangers(document)
+    root = Reader(document, "", faults, MISSION_FIELDS)
+    if not root.ok:
+        raise MissionError(faults)
+    local = root.has("origin")
+    origin = _geo(root.child("origin", GEO_FIELDS)) if local else None
+    name = root.text("name", 200) or "Unnamed mission"
+    start = _position(root.child("start", (*GEO_FIELDS, *LOCAL_FIELDS)), local)
+    destination = _position(root.child("destination", (*GEO_FIELDS, *LOCAL_FIELDS)), local)
+    stations = [
+        _station(Reader(item, f"stations[{i}]", faults, _STATION_KEYS), local)
+        for i, item in enumerate(root.items("stations", max_stations, required=True))
+    ]
+    if isinstance(root.data.get("stations"), list | tuple) and not root.data["stations"]:
+        root.fault("stations", "is empty", "at least one station", "add the stations that are to guard the flight")
+    safe_points = [
+        _safe_point(Reader(item, f"safe_points[{i}]", faults, ("id", "name", *GEO_FIELDS, *LOCAL_FIELDS)), local)
+        for i, item in enumerate(root.items("safe_points", MAX_SAFE_POINTS))
+    ]
+    limits = _limits(root.child("limits", LIMIT_FIELDS))
+    options = MissionOptions()
+    if root.has("options"):
+        options = _options(root.child("options", OPTION_FIELDS), [s.id for s in stations])
+    _unique_ids("stations", [s.id for s in stations], faults)
+    _unique_ids("safe_points", [p.id for p in safe_points], faults)
+    _check_system_ids(stations, options.vehicle_system_id, faults)
+    excluded = frozenset(options.excluded_stations)
+    if stations and all(s.id in excluded for s in stations):
+        what, fix = "leaves no station", "leave at least one of them in"
+        faults.add("options.excluded_stations", what, list(options.excluded_stations), "not every station", fix)
+    if not local and not faults:
+        _check_span(start, destination, stations, safe_points, faults)
+    if faults:
+        raise MissionError(faults)
+    return Mission(start, destination, tuple(stations), limits, name, tuple(safe_points), options, origin)
+
+
+def _refuse_strangers(document: object) -> None:
+    """Other documents a mission is taken for, refused as what they are and not field by field."""
+    if not isinstance(document, Mapping):
+        return
+    if "plan_sha256" in document or "segments" in document:
+        fault = Fault("mission", "is a plan, not a mission", None, "a mission", "give what stands in its field mission")
+        raise MissionError([fault])
+    if document.get("type") in ("FeatureCollection", "Feature") or document.get("fileType") == "Plan":
+        what = "is GeoJSON" if "type" in document else "is a QGroundControl plan"
+        fix = "write it as a mission: start, destination, stations, limits"
+        raise MissionError([Fault("mission", f"{what}, not a mission", None, "a mission", fix)])
+
+
+def _geo(reader: Reader) -> GeoPosition:
+    return GeoPosition(
+        reader.number("lat_deg", -90.0, 90.0, "degrees"),
+        reader.number("lon_deg", -180.0, 180.0, "degrees"),
+        reader.number("alt_amsl_m", LOWEST_ALT_M, HIGHEST_ALT_M, "m above mean sea level"),
+    )
+
+
+def _position(reader: Reader, local: bool) -> Position:
+    wrong = GEO_FIELDS if local else LOCAL_FIELDS
+    strangers = [key for key in wrong if reader.has(key)]
+    if strangers:
+        if local:
+            what, fix = (
+                "is geographic in a mission with an origin",
+                "give east_m, north_m and up_m, or remove the origin",
+            )
+        else:
+            what = "is local in a mission without an origin"
+            fix = "give lat_deg, lon_deg and alt_amsl_m, or an origin and local positions everywhere"
+        reader.fault(strangers[0], what, "one frame in the whole mission", fix)
+        if not any(reader.has(key) for key in (LOCAL_FIELDS if local else GEO_FIELDS)):
+            return LocalPosition(math.nan, math.nan, math.nan)
+    if not local:
+        return _geo(reader)
+    return LocalPosition(
+        reader.number("east_m", -MAX_SPAN_M, MAX_SPAN_M, "m"),
+        reader.number("north_m", -MAX_SPAN_M, MAX_SPAN_M, "m"),
+        reader.number("up_m", LOWEST_ALT_M, HIGHEST_ALT_M, "m above the origin"),
+    )
+
+
+def _station(reader: Reader, local: bool) -> Station:
+    identifier = reader.identifier("id")
+    return Station(
+        id=identifier,
+        position=_position(reader, local),
+        range_m=reader.number("range_m", 0.0, MAX_RANGE_M, "m", above_low=True),
+        name=reader.text("name", 200) or identifier,
+        system_id=reader.integer("system_id", LOWEST_SYSTEM_ID, HIGHEST_SYSTEM_ID, default=None),
+        contact=reader.text("contact", 200),
+        radio_channel=reader.text("radio_channel", 200),
+        hours=reader.text("hours", 200),
+        min_elevation_deg=reader.optional_number("min_elevation_deg", 0.0, 85.0, "degrees"),
+    )
+
+
+def _safe_point(reader: Reader, local: bool) -> SafePoint:
+    identifier = reader.identifier("id")
+    return SafePoint(identifier, _position(reader, local), reader.text("name", 200) or identifier)
+
+
+def _limits(reader: Reader) -> MissionLimits:
+    def positive(key: str, high: float, unit: str) -> float | None:
+        return reader.optional_number(key, 0.0, high, unit, above_low=True)
+
+    low = reader.number("min_alt_amsl_m", LOWEST_ALT_M, HIGHEST_ALT_M, "m above mean sea level")
+    high = reader.number("max_alt_amsl_m", LOWEST_ALT_M, HIGHEST_ALT_M, "m above mean sea level")
+    if low > high:
+        reader.fault("max_alt_amsl_m", f"is below min_alt_amsl_m ({low:g} m)", f"at least {low:g} m", "swap the two")
+    wind = None
+    if reader.has("wind"):
+        air = reader.child("wind", ("east_m_s", "north_m_s"))
+        wind = (air.number("east_m_s", -200.0, 200.0, "m/s"), air.number("north_m_s", -200.0, 200.0, "m/s"))
+    limits = MissionLimits(
+        min_alt_amsl_m=low,
+        max_alt_amsl_m=high,
+        max_speed_m_s=reader.number("max_speed_m_s", 0.0, MAX_SPEED_M_S, "m/s", above_low=True),
+        max_accel_m_s2=reader.number("max_accel_m_s2", 0.0, 1_000.0, "m/s^2", above_low=True),
+        max_jerk_m_s3=positive("max_jerk_m_s3", 100_000.0, "m/s^3"),
+        max_climb_m_s=positive("max_climb_m_s", MAX_SPEED_M_S, "m/s"),
+        max_descent_m_s=positive("max_descent_m_s", MAX_SPEED_M_S, "m/s"),
+        max_airspeed_m_s=positive("max_airspeed_m_s", MAX_SPEED_M_S, "m/s"),
+        wind_m_s=wind,
+        endurance_s=positive("endurance_s", MAX_TIME_S, "s"),
+        reserve_s=reader.optional_number("reserve_s", 0.0, MAX_TIME_S, "s"),
+    )
+    if wind is not None and not reader.has("max_airspeed_m_s"):
+        reader.fault("wind", "has no effect without max_airspeed_m_s", fix="add max_airspeed_m_s, or remove the wind")
+    if limits.reserve_s is not None:
+        if not reader.has("endurance_s"):
+            reader.fault("reserve_s", "has no effect without endurance_s", fix="add endurance_s, or remove the reserve")
+        elif limits.endurance_s is not None and limits.reserve_s >= limits.endurance_s:
+            reader.fault(
+                "reserve_s", "leaves nothing of endurance_s", f"less than {limits.endurance_s:g} s", "lower it"
+            )
+    return limits
+
+
+def _options(reader: Reader, station_ids: list[str]) -> MissionOptions:
+    default = MissionOptions()
+    vehicle = reader.integer(
+        "vehicle_system_id", LOWEST_SYSTEM_ID, HIGHEST_SYSTEM_ID, default=default.vehicle_system_id
+    )
+    excluded: list[str] = []
+    known = frozenset(station_ids)
+    for i, item in enumerate(reader.items("excluded_stations", MAX_STATIONS)):
+        if not isinstance(item, str) or item not in known:
+            # Looking for what was meant takes a second on the largest maps.
+            close = difflib.get_close_matches(str(item), station_ids, n=1) if len(reader.faults) < MAX_GUESSES else []
+            fix = f"did you mean {close[0]}?" if close else "give the id of a station of this mission"
+            where = reader.path(f"excluded_stations[{i}]")
+            reader.faults.add(where, "is no station of this mission", item, "ids of stations", fix)
+        else:
+            excluded.append(item)
+    return MissionOptions(
+        min_overlap_s=reader.number("min_overlap_s", 0.0, 3_600.0, "s", default=default.min_overlap_s),
+        range_margin_m=reader.number("range_margin_m", 0.0, MAX_RANGE_M, "m", default=default.range_margin_m),
+        min_tenure_s=reader.number("min_tenure_s", 0.0, 86_400.0, "s", default=default.min_tenure_s),
+        vehicle_system_id=default.vehicle_system_id if vehicle is None else vehicle,
+        on_arrival=reader.choice("on_arrival", ("land", "hold"), default.on_arrival),
+        excluded_stations=tuple(dict.fromkeys(excluded)),
+        max_handovers=reader.integer("max_handovers", 0, MAX_STATIONS, default=None),
+        objective=_objective(reader),
+        start_state=_start_state(reader) if reader.has("start_state") else None,
+        arrival_s=reader.optional_number("arrival_s", 0.0, MAX_TIME_S, "s", above_low=True),
+    )
+
+
+def _objective(reader: Reader) -> str | float:
+    value = reader.data.get("objective")
+    if value is None:
+        return "time"
+    if isinstance(value, str):
+        return reader.choice("objective", ("time", "energy"), "time")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        allowed = "time, energy, or a weight of energy from 0 to 1"
+        reader.fault("objective", f"must be a word or a number, not {type_name(value)}", allowed, "choose one of them")
+        return "time"
+    return reader.number("objective", 0.0, 1.0, "(weight of energy)")
+
+
+def _start_state(reader: Reader) -> StartState:
+    state = reader.child("start_state", ("velocity_m_s", "acceleration_m_s2"))
+
+    def vector(key: str, unit: str) -> tuple[float, float, float]:
+        if not state.has(key):
+            return 0.0, 0.0, 0.0
+        items = state.data[key]
+        if not isinstance(items, list | tuple) or len(items) != 3:
+            what = f"must be a list of three numbers, not {type_name(items)}"
+            if isinstance(items, list | tuple):
+                what = f"must have three numbers, not {len(items)}"
+            state.fault(key, what, f"[east, north, up] in {unit}", "give all three, 0 where there is none")
+            return 0.0, 0.0, 0.0
+        part = Reader(
+            dict(zip(("east", "north", "up"), items, strict=True)),
+            state.path(key),
+            state.faults,
+            ("east", "north", "up"),
+        )
+        east, north, up = (part.number(axis, -MAX_SPEED_M_S, MAX_SPEED_M_S, unit) for axis in ("east", "north", "up"))
+        return east, north, up
+
+    return StartState(vector("velocity_m_s", "m/s"), vector("acceleration_m_s2", "m/s^2"))
+
+
+def _unique_ids(where: str, ids: list[str], faults: FaultList) -> None:
+    first: dict[str, int] = {}
+    for i, identifier in enumerate(ids):
+        if identifier and first.setdefault(identifier, i) != i:
+            what = f"is the id of {where}[{first[identifier]}] as well"
+            faults.add(f"{where}[{i}].id", what, identifier, "each id once", "rename one of the two")
+    # Ids are spoken over the radio and stand in file names: what differs only in letter case or blanks is one.
+    spoken: dict[str, int] = {}
+    for identifier, i in first.items():
+        word = "".join(unicodedata.normalize("NFKC", identifier).casefold().split())
+        if spoken.setdefault(word, i) != i:
+            what = f"differs only in letter case or blanks from that of {where}[{spoken[word]}], {ids[spoken[word]]}"
+            faults.add(f"{where}[{i}].id", what, identifier, "ids that people can tell apart", "rename one of the two")
+
+
+def _check_system_ids(stations: list[Station], vehicle_id: int, faults: FaultList) -> None:
+    first: dict[int, int] = {}
+    clean = True
+    for i, station in enumerate(stations):
+        if station.system_id is None:
+            continue
+        where = f"stations[{i}].system_id"
+        if station.system_id == vehicle_id:
+            fix = "give another one, or change options.vehicle_system_id"
+            faults.add(where, "is the vehicle's own system id", station.system_id, "another id from 1 to 254", fix)
+            clean = False
+        elif first.setdefault(station.system_id, i) != i:
+            what = f"is the system id of stations[{first[station.system_id]}] as well"
+            faults.add(where, what, station.system_id, "each system id once", "give another one, or leave both out")
+            clean = False
+    given = [s.system_id for s in stations]
+    if clean and first and None in given:
+        # Which stations a plan uses is not known yet; what can be told now is whether a single one more would fit.
+        holders = [i for i, system_id in enumerate(given) if system_id is not None]
+        try:
+            assign_system_ids(given, [*holders, given.index(None)], vehicle_id)
+        except MissionError as error:
+            faults.extend(error.problems)
+
+
+def _check_span(
+    start: Position, destination: Position, stations: list[Station], safe_points: list[SafePoint], faults: FaultList
+) -> None:
+    places: list[tuple[str, Position]] = [("destination", destination)]
+    places += [(f"stations[{i}]", station.position) for i, station in enumerate(stations)]
+    places += [(f"safe_points[{i}]", point.position) for i, point in enumerate(safe_points)]
+    at = np.array([(p.lat_deg, p.lon_deg) for _, p in places if isinstance(p, GeoPosition)])
+    assert isinstance(start, GeoPosition)
+    distance = slant_range_m(start.lat_deg, start.lon_deg, 0.0, at[:, 0], at[:, 1], 0.0)
+    far, allowed = np.flatnonzero(distance > MAX_SPAN_M), f"at most {MAX_SPAN_M / 1000:.0f} km"
+    if len(far) == len(places):
+        # Everything is far from the start: it is the start that is wrong.
+        swapped = abs(start.lon_deg) <= 90.0 and bool(
+            (slant_range_m(start.lon_deg, start.lat_deg, 0.0, at[:, 0], at[:, 1], 0.0) <= MAX_SPAN_M).any()
+        )
+        what = f"is {distance.min() / 1000:.0f} km and more from destination and stations"
+        faults.add("start", what, _shown(start), allowed, _fix_of_place(swapped))
+        return
+    for i in far:
+        lat, lon = at[i]
+        swapped = (
+            abs(lon) <= 90.0 and float(slant_range_m(start.lat_deg, start.lon_deg, 0.0, lon, lat, 0.0)) <= MAX_SPAN_M
+        )
+        what = f"is {distance[i] / 1000:.0f} km from the start"
+        faults.add(places[i][0], what, f"{lat:.6g}, {lon:.6g}", allowed, _fix_of_place(swapped))
+
+
+def _shown(position: GeoPosition) -> str:
+    return f"{position.lat_deg:.6g}, {position.lon_deg:.6g}"
+
+
+def _fix_of_place(swapped: bool) -> str:
+    return "swap lat_deg and lon_deg" if swapped else "check latitude and longitude"
+
+
+def write_mission(mission: Mission) -> dict[str, object]:
+    """The document of a mission, every default filled in; what is None and has no default is left out."""
+    document: dict[str, object] = {"name": mission.name}
+    if mission.origin is not None:
+        document["origin"] = position_document(mission.origin)
+    document["start"] = position_document(mission.start)
+    document["destination"] = position_document(mission.destination)
+    document["stations"] = [_station_document(station) for station in mission.stations]
+    limits = {f.name: getattr(mission.limits, f.name) for f in fields(MissionLimits) if f.name != "wind_m_s"}
+    document["limits"] = {name: value for name, value in limits.items() if value is not None}
+    if mission.limits.wind_m_s is not None:
+        east, north = mission.limits.wind_m_s
+        document["limits"] |= {"wind": {"east_m_s": east, "north_m_s": north}}  # type: ignore[operator]
+    document["safe_points"] = [
+        {"id": point.id, "name": point.name, **position_document(point.position)} for point in mission.safe_points
+    ]
+    options = {f.name: getattr(mission.options, f.name) for f in fields(MissionOptions)}
+    options["excluded_stations"] = list(mission.options.excluded_stations)
+    state = mission.options.start_state
+    if state is not None:
+        options["start_state"] = {
+            "velocity_m_s": list(state.velocity_m_s),
+            "acceleration_m_s2": list(state.acceleration_m_s2),
+        }
+    document["options"] = options
+    return document
+
+
+def position_document(position: Position) -> dict[str, float]:
+    """A position as JSON, by the names of its frame."""
+    return {f.name: getattr(position, f.name) for f in fields(position)}
+
+
+def _station_document(station: Station) -> dict[str, object]:
+    document: dict[str, object] = {"id": station.id, "name": station.name, **position_document(station.position)}
+    for name in ("range_m", "system_id", "contact", "radio_channel", "hours", "min_elevation_deg"):
+        value = getattr(station, name)
+        if value is not None:
+            document[name] = value
+    return document

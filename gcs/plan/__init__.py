@@ -1,0 +1,1 @@
+"""The plan: curve, handover schedule, contingencies, its document."""

@@ -1,0 +1,1 @@
+"""From mission to plan, and a flight planned anew under way."""

@@ -1,0 +1,109 @@
+"""From a mission to a certified plan.
+
+The mission is laid on its plane (`gcs.layout.planning_problem`); the planner finds the curve (`gcs.planning.solve`);
+schedule and contingencies are worked out; and everything is measured again, the ranges as true slant ranges.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs.errors import PlanningFailed
+from gcs.geodesy.plane import Plane
+from gcs.mission.model import Mission
+from gcs.plan.contingency import contingencies
+from gcs.plan.handover_schedule import schedule
+from gcs.plan.model import Plan
+from gcs.planning.certification import _lower_bound_s, certify_true
+from gcs.planning.solve import PlannerLike, laid_out, solve
+from gcs.timestamps import utc_text
+from planner import Planner
+from planner.planner import Method
+from planner.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+
+def product_version() -> str:
+    """Version of this product, as installed."""
+    try:
+        return version("skyrelay")
+    except PackageNotFoundError:
+        return "0+unknown"
+
+
+def plan_mission(
+    mission: Mission,
+    *,
+    fast: bool = False,
+    method: Method | None = None,
+    planner: PlannerLike | None = None,
+    time_limit_s: float | None = None,
+    created_utc: datetime | None = None,
+    notes: Sequence[str] = (),
+    progress: Progress | None = None,
+    plane: Plane | None = None,
+) -> Plan:
+    """Plan a mission.
+
+    ``method`` is one of `planner.Planner.plan`'s (default ``"joint"``; ``fast``: ``"fast"``). ``time_limit_s`` makes
+    the result depend on the machine and is recorded. ``notes`` go into the plan. ``progress`` is called with a phase
+    and a fraction from 0 to 1. ``plane`` is where to plan, where it is not left to
+    `gcs.layout.mission_geometry.choose_plane`.
+
+    Raises `MissionInfeasible` and `PlanningFailed`; `MissionError` when the stations flown cannot get system ids.
+    """
+    begin = time.perf_counter()
+    tell = progress or (lambda phase, fraction: None)
+    tell("preparing", 0.0)
+    laid = laid_out(mission, plane)
+    worker = planner if planner is not None else default_planner()
+    tell("planning", 0.05)
+    solution = solve(laid, worker, method or ("fast" if fast else "joint"), time_limit_s)
+    tell("scheduling", 0.9)
+    trajectory = solution.trajectory
+    certificate = certify_true(laid, trajectory)
+    if not certificate.feasible:
+        raise PlanningFailed(f"the plan made by {solution.method} fails its own certificate: {certificate.broken}")
+    curve = Trajectory(trajectory.control_points_m, trajectory.durations_s, laid.stations[trajectory.station_index])
+    named = mission.with_system_ids(curve.sequence)
+    ground = laid.ground.renamed(named)
+    remarks = [*notes, *solution.notes]
+    if time_limit_s is not None:
+        remarks.append(f"planned within a time limit of {time_limit_s:g} s: another machine may plan otherwise")
+    plan = Plan(
+        mission=named,
+        trajectory=curve,
+        plane=ground.plane,
+        handovers=schedule(ground, curve),
+        contingencies=contingencies(ground, curve),
+        certificate=certificate,
+        lower_bound_s=_lower_bound_s(laid, solution),
+        path_length_m=curve.path_length_m(),
+        solve_time_s=time.perf_counter() - begin,
+        created_utc=utc_text(created_utc or datetime.now(UTC)),
+        method=solution.method,
+        planner_version=product_version(),
+        iterations=solution.iterations,
+        notes=tuple(remarks),
+    )
+    tell("done", 1.0)
+    return plan
+
+
+_shared_planner: PlannerLike | None = None
+
+
+def default_planner() -> PlannerLike:
+    """The planner of this process, made once: it keeps what it compiled."""
+    global _shared_planner
+    if _shared_planner is None:
+        _shared_planner = Planner()
+    return _shared_planner

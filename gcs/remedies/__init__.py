@@ -1,0 +1,1 @@
+"""What would make an impossible mission possible, tried and put into words."""

@@ -1,0 +1,1 @@
+"""What is kept: missions, plans, flights, registries; SQLite by default."""

@@ -1,0 +1,124 @@
+"""Tables of the database. Rows are neither the domain's types nor HTTP's bodies; `gcs.store.store` converts.
+
+Documents are kept as JSON text, byte for byte as written. Times are RFC 3339 text in UTC with microseconds, which
+sorts as it should on every database.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import (
+    BigInteger,
+    Column,
+    Double,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+    UniqueConstraint,
+)
+
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(column_0_N_label)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+# SQLite numbers rows by itself only for a column of the very type INTEGER.
+_Number = BigInteger().with_variant(Integer, "sqlite")
+_Time = String(32)
+_Id = String(64)
+
+missions = Table(
+    "missions",
+    metadata,
+    Column("number", _Number, primary_key=True, autoincrement=True),
+    Column("id", _Id, nullable=False, unique=True),
+    Column("name", String(200), nullable=False),
+    Column("latest_version", Integer, nullable=False),
+    Column("created_utc", _Time, nullable=False),
+    Column("archived_utc", _Time),
+)
+
+mission_versions = Table(
+    "mission_versions",
+    metadata,
+    Column("number", _Number, primary_key=True, autoincrement=True),
+    Column("mission_id", _Id, ForeignKey("missions.id"), nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("document", Text, nullable=False),
+    Column("status", String(16), nullable=False),
+    Column("phase", String(64), nullable=False),
+    Column("progress", Double, nullable=False),
+    Column("plan", Text),
+    Column("plan_sha256", String(64)),
+    Column("infeasibility", Text),
+    Column("error", Text),
+    Column("created_utc", _Time, nullable=False),
+    Column("changed_utc", _Time, nullable=False),
+    # Who is planning it, and until when that may be believed.
+    Column("owner", _Id),
+    Column("lease_utc", _Time),
+    UniqueConstraint("mission_id", "version"),
+    Index("ix_mission_versions_status_number", "status", "number"),
+    Index("ix_mission_versions_plan_sha256", "plan_sha256"),
+)
+
+idempotency_keys = Table(
+    "idempotency_keys",
+    metadata,
+    Column("scope", String(200), primary_key=True),
+    Column("key", String(255), primary_key=True),
+    Column("request_sha256", String(64), nullable=False),
+    Column("mission_id", _Id, nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("created_utc", _Time, nullable=False),
+    ForeignKeyConstraint(["mission_id", "version"], ["mission_versions.mission_id", "mission_versions.version"]),
+)
+
+registry = Table(
+    "registry",
+    metadata,
+    Column("kind", String(16), primary_key=True),
+    Column("id", _Id, primary_key=True),
+    Column("document", Text, nullable=False),
+    Column("revision", Integer, nullable=False),
+    Column("created_utc", _Time, nullable=False),
+    Column("changed_utc", _Time, nullable=False),
+)
+
+flights = Table(
+    "flights",
+    metadata,
+    Column("number", _Number, primary_key=True, autoincrement=True),
+    Column("id", _Id, nullable=False, unique=True),
+    Column("mission_id", _Id, nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("plan_sha256", String(64), nullable=False),
+    Column("vehicle_id", _Id, nullable=False),
+    Column("state", String(32), nullable=False),
+    Column("document", Text, nullable=False),
+    Column("created_utc", _Time, nullable=False),
+    Column("changed_utc", _Time, nullable=False),
+    Column("ended_utc", _Time),
+    ForeignKeyConstraint(["mission_id", "version"], ["mission_versions.mission_id", "mission_versions.version"]),
+    Index("ix_flights_mission_id", "mission_id"),
+    Index("ix_flights_vehicle_id", "vehicle_id"),
+)
+
+flight_events = Table(
+    "flight_events",
+    metadata,
+    Column("flight_id", _Id, ForeignKey("flights.id"), primary_key=True),
+    Column("sequence", Integer, primary_key=True, autoincrement=False),
+    Column("kind", String(32), nullable=False),
+    Column("state", String(32), nullable=False),
+    Column("utc", _Time, nullable=False),
+    Column("document", Text, nullable=False),
+)

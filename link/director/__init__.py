@@ -1,0 +1,1 @@
+"""The flight director: procedures and states from preflight to landing."""

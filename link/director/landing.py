@@ -1,0 +1,51 @@
+"""The landing: the autopilot's own, asked for until it shows it, waited for until the vehicle is down and disarmed."""
+
+from __future__ import annotations
+
+import math
+
+from gcs.flight import FlightState
+from link.session.context import FlightContext
+
+REASK_S = 1.5
+LANDED_WAIT_S = 1800.0
+
+
+class Landing:
+    """`begin`, then every tick: `down`?, `ask`, `overdue`?"""
+
+    def __init__(self, context: FlightContext) -> None:
+        self._c = context
+        self.outcome = FlightState.COMPLETED
+        """How the flight ends with it."""
+        self.seen = False
+        """Whether the vehicle has shown that it lands."""
+        self._since_s = 0.0
+        self._asked_s = -math.inf
+
+    def begin(self, outcome: FlightState) -> None:
+        """Land from now on, and end so."""
+        self.outcome, self.seen = outcome, False
+        self._since_s, self._asked_s = self._c.now_s, -math.inf
+
+    @property
+    def down(self) -> bool:
+        """Whether the vehicle has disarmed since."""
+        heartbeat = self._c.monitor.heartbeat
+        return heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > self._since_s
+
+    def ask(self) -> None:
+        """Ask for the mode, now and then, while the vehicle does not show it."""
+        c = self._c
+        lands = c.mode == c.profile.land_mode
+        self.seen = self.seen or lands
+        if not lands and c.now_s - self._asked_s >= REASK_S:
+            self._asked_s = c.now_s
+            c.start_mode(c.profile.land_mode)
+
+    @property
+    def overdue(self) -> bool:
+        """Whether nothing has been heard of the vehicle, or no landing seen, for too long."""
+        c = self._c
+        silent_s = c.now_s - c.monitor.last_heard_s()
+        return silent_s > c.request.lost_after_s or c.now_s - self._since_s > LANDED_WAIT_S

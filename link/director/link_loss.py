@@ -1,0 +1,197 @@
+"""After a lapse: silence, and the way back on a person's word alone.
+
+The stream may have been missed for longer than the autopilot tolerates, or the vehicle left the mode or restarted.
+Sending on as if nothing had happened would be a hazard: PX4 takes a stream that resumes as leave to go back to OFFBOARD
+unasked, and ArduPilot would race after a reference that has moved on. So nothing is sent but what stops the vehicle:
+where PX4 still shows OFFBOARD it is told to HOLD. Nobody's word within the limit: the autopilot's own return, or
+landing, as asked for.
+
+Re-entry: a link that is proved, a station whose range holds the vehicle, HOLD first (PX4), a second of setpoints at
+the place where the vehicle is, the mode, its HEARTBEAT; then a straight transit to the nearest point of the path in
+that station's range.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gcs.flight import FlightState
+from link.handover.handover_chain import Relay
+from link.session.context import FlightContext
+from link.session.procedure import Steps, pause, wait_until
+from link.setpoints.sampler import SetpointStream
+from link.setpoints.straight_line import StraightLine
+
+REASK_S = 1.5
+BETTER_LINK_S = 1.0
+PROVEN_S = 1.0
+SEARCH_S = 120.0
+"""How far along the plan, both ways, the nearest point of the path is looked for."""
+
+
+NEARER_M = 1.0
+
+
+class Lapse:
+    """The state LAPSED. `tick` gives the time of the plan to join at once re-entry has succeeded."""
+
+    def __init__(self, context: FlightContext, relay: Relay, stream: SetpointStream) -> None:
+        self._c = context
+        self._relay = relay
+        self._stream = stream
+        self.ended: tuple[FlightState, str] | None = None
+        self._plan_s = 0.0
+        self._pin = False
+        self._since_s = 0.0
+        self._asked_s = -math.inf
+        self._resort = False
+        self._told = False
+        self._entry: Steps[float] | None = None
+
+    def adopt(self, stream: SetpointStream) -> None:
+        """Another plan is being flown."""
+        self._stream = stream
+
+    def begin(self, plan_s: float, *, pin: bool) -> None:
+        """The flight lapsed at ``plan_s`` of the plan. ``pin``: by our silence, so PX4 would take a stream up again."""
+        self._plan_s, self._pin, self._since_s = plan_s, pin, self._c.now_s
+        self._asked_s, self._resort, self._entry, self.ended = -math.inf, False, None, None
+        self._told = False
+
+    def resume(self) -> None:
+        """A person's word: begin re-entry."""
+        self._entry = self._enter()
+
+    def last_resort(self) -> None:
+        """Hand the vehicle to its own return, or landing, as the request says."""
+        self._resort, self._entry = True, None
+        self._asked_s = -math.inf
+
+    def tick(self) -> float | None:
+        """One tick; the time of the plan to join, once back in."""
+        c, heartbeat = self._c, self._c.monitor.heartbeat
+        if heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > self._since_s:
+            ended = FlightState.CONTINGENCY if c.on_ground else FlightState.LOST
+            self.ended = (ended, "the vehicle disarmed by itself")
+            return None
+        silent_s = c.now_s - c.monitor.last_heard_s()
+        if silent_s > c.request.lost_after_s:
+            self.ended = (FlightState.LOST, f"nothing heard for {silent_s:.0f} s")
+            return None
+        if self._entry is not None:
+            return self._advance()
+        self._use_best_link()
+        if c.now_s - self._asked_s < REASK_S:
+            return None
+        drifting = c.mode in (c.profile.offboard_mode, c.profile.hold_mode)
+        if self._resort or (c.now_s - self._since_s >= c.request.hold_limit_s and drifting):
+            self._command_last_resort()
+        elif self._pin and c.profile.name == "px4" and c.mode == c.profile.offboard_mode:
+            self._asked_s = c.now_s
+            c.start_mode(c.profile.hold_mode)
+        return None
+
+    def _advance(self) -> float | None:
+        assert self._entry is not None
+        try:
+            next(self._entry)
+        except StopIteration as end:
+            self._entry = None
+            return float(end.value)
+        except _NoWayBack as reason:
+            self._entry = None
+            self._c.alarm("cannot resume", reason=str(reason))
+        return None
+
+    def _use_best_link(self) -> None:
+        """What little is said goes over the link proved last."""
+        c = self._c
+        best = max(c.monitor.links.values(), key=lambda link: link.proven_s)
+        if best.proven_s > c.monitor.links[c.fence.station_id].proven_s + BETTER_LINK_S:
+            c.grant(best.station_id, "the link proved last")
+
+    def _command_last_resort(self) -> None:
+        c = self._c
+        mode = {"return": c.profile.return_mode, "land": c.profile.land_mode}.get(c.request.last_resort)
+        if mode is None:
+            self.ended = (FlightState.LOST, f"left to the autopilot, which shows {c.mode}")
+        elif c.mode != mode:
+            if not self._told:
+                self._told = True
+                c.alarm("last resort", mode=mode)
+            self._asked_s = c.now_s
+            c.start_mode(mode)
+
+    # -- back in ------------------------------------------------------------------------------------------------------
+
+    def _enter(self) -> Steps[float]:
+        c = self._c
+        here = c.position_enu_m()
+        if here is None or c.monitor.position is None or c.now_s - c.monitor.position.heard_s > 2.0:
+            raise _NoWayBack("no fresh position")
+        leg, join_s = self._where(np.array(here))
+        station = c.plan.station_ids[leg]
+        self._relay.leg = leg
+        c.grant(station, "resume")
+        c.adopt_origin(station)
+        if c.profile.name == "px4":
+            yield from self._mode(c.profile.hold_mode)
+        still = StraightLine(c.plan, leg, here, here, speed_m_s=1.0, climb_m_s=1.0, accel_m_s2=1.0)
+        if c.profile.stream_before_offboard_s > 0.0:
+            until_s = c.now_s + c.profile.stream_before_offboard_s + 0.5
+            while c.now_s < until_s:
+                c.send_setpoint(still.at(0.0))
+                yield
+            steps = self._mode(c.profile.offboard_mode)
+            for _ in steps:
+                c.send_setpoint(still.at(0.0))
+                yield
+        else:
+            yield from self._mode(c.profile.offboard_mode)
+        yield from pause(c, 0.0)
+        return join_s
+
+    def _mode(self, mode: str) -> Steps[None]:
+        c = self._c
+        for _ in range(3):
+            if c.mode == mode:
+                return
+            c.start_mode(mode)
+            yield from wait_until(c, lambda: c.mode == mode, 3.0)
+        if c.mode != mode:
+            raise _NoWayBack(f"the vehicle does not enter {mode}: it shows {c.mode}")
+
+    def _where(self, here: np.ndarray) -> tuple[int, float]:
+        """The leg whose station can take the vehicle now, and the nearest time of the plan in its coverage."""
+        c, relay, plan = self._c, self._relay, self._c.plan
+        best: tuple[float, int, float] | None = None
+        # The present leg first: another must be nearer to be preferred.
+        legs = sorted(range(len(plan.trajectory.sequence)), key=lambda leg: abs(leg - relay.leg))
+        for leg in legs:
+            index = plan.trajectory.sequence[leg]
+            station = plan.mission.stations[index].id
+            if not c.monitor.proven_within(c.now_s, station, PROVEN_S):
+                continue
+            if float(plan.ground.outside_m(np.array([index]), here[None, :])[0]) > 0.0:
+                continue
+            low = relay.borders[leg - 1].open_s if leg > 0 else 0.0
+            high = relay.borders[leg].limit_s if leg < len(relay.borders) else plan.mission_time_s
+            low, high = max(low, self._plan_s - SEARCH_S), min(high, self._plan_s + SEARCH_S)
+            if low >= high:
+                continue
+            times = np.linspace(low, high, max(2, int((high - low) / 0.1)))
+            away = np.linalg.norm(plan.trajectory.evaluate(times) - here, axis=-1)
+            k = int(away.argmin())
+            if best is None or away[k] < best[0] - NEARER_M:
+                best = (float(away[k]), leg, float(times[k]))
+        if best is None:
+            raise _NoWayBack("no station that is proved covers the vehicle near its path")
+        if best[0] > c.request.max_transit_m:
+            raise _NoWayBack(f"the path is {best[0]:.0f} m away, allowed is {c.request.max_transit_m:g} m")
+        return best[1], best[2]
+
+
+class _NoWayBack(Exception):  # noqa: N818
+    """Re-entry is not possible now; the flight stays lapsed."""

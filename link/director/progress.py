@@ -1,0 +1,116 @@
+"""What people are told while a flight goes on: once a second where it is, and whenever the schedule moves."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from gcs.flight import EventKind, FlightState
+from link.director.airborne import Airborne
+from link.session.context import FlightContext
+
+PROGRESS_S = 1.0
+RETIMED_S = 1.0
+FOREIGN_S = 30.0
+BEHIND_RATE = 0.98
+
+
+class Announcer:
+    """Emits progress, re-timed schedules and the alarms that are not somebody else's. `update` every tick."""
+
+    def __init__(self, context: FlightContext, airborne: Airborne) -> None:
+        self._c = context
+        self._air = airborne
+        self._progress_s = -math.inf
+        self._shift_s = 0.0
+        self._told_t0 = False
+        self._plan_sha256 = context.plan.plan_sha256
+        self._behind = False
+        self._foreign: dict[int, float] = {}
+
+    def update(self) -> None:
+        """Tell what has changed."""
+        c = self._c
+        for system_id, heard_s in c.monitor.foreign_stations.items():
+            if heard_s - self._foreign.get(system_id, -math.inf) > FOREIGN_S:
+                c.alarm("another ground station is on the link", system_id=system_id)
+                self._foreign[system_id] = heard_s
+        if not c.state.airborne:
+            return
+        self._retime()
+        self._tell_behind()
+        if c.now_s - self._progress_s >= PROGRESS_S:
+            self._progress_s = c.now_s
+            c.emit(EventKind.PROGRESS, **self.where())
+
+    @property
+    def shift_s(self) -> float | None:
+        """How much later than planned the flight is; None before T+0 and off the plan."""
+        c = self._c
+        if c.launched_s is None or self._air.line:
+            return None
+        return c.now_s - c.launched_s - self._air.reference.time_s
+
+    def handovers_to_come(self) -> list[dict[str, Any]]:
+        """Those ahead, with the T+ they are now expected at if the flight goes on at full rate."""
+        shift_s = self.shift_s
+        if shift_s is None:
+            return []
+        return [
+            {"index": h.index, "from": h.from_station, "to": h.to_station, "t_plus_s": round(h.time_s + shift_s, 3)}
+            for h in self._c.plan.handovers[self._air.relay.leg :]
+        ]
+
+    def _retime(self) -> None:
+        shift_s = self.shift_s
+        if shift_s is None or self._c.state not in (FlightState.CRUISE, FlightState.HOLDING):
+            return
+        moved = abs(shift_s - self._shift_s)
+        # While the flight stands the schedule slips all the time; it is told again when it goes on.
+        settled = self._air.reference.rate == 1.0
+        replanned = self._plan_sha256 != self._c.plan.plan_sha256
+        if not self._told_t0 or replanned or (moved >= RETIMED_S and settled):
+            self._told_t0, self._shift_s, self._plan_sha256 = True, shift_s, self._c.plan.plan_sha256
+            self._c.emit(EventKind.RETIMED, shift_s=round(shift_s, 3), handovers=self.handovers_to_come())
+
+    def _tell_behind(self) -> None:
+        tracking = self._air.lag.tracking
+        if tracking is None or self._c.state is not FlightState.CRUISE:
+            return
+        behind = self._air.reference.rate < BEHIND_RATE and tracking.behind_m > 10.0
+        if behind and not self._behind:
+            self._c.alarm("the vehicle falls behind", behind_m=round(tracking.behind_m, 1))
+        if behind or self._air.reference.rate == 1.0:
+            self._behind = behind
+
+    def where(self) -> dict[str, Any]:
+        """The flight now, as JSON."""
+        c, air = self._c, self._air
+        position, tracking = c.monitor.position, air.lag.tracking
+        # On the ground nobody measures it by the tick.
+        air.range.update()
+        station, margin_m = c.gate.holder, air.range.margin_m
+        return {
+            "station": station,
+            "plan_s": None if air.line else round(air.reference.time_s, 3),
+            "rate": round(air.reference.rate, 4),
+            "stands": air.reference.stands,
+            "lead_ms": round(air.lead.seconds * 1e3, 1),
+            "lat_deg": None if position is None else position.lat_deg,
+            "lon_deg": None if position is None else position.lon_deg,
+            "alt_amsl_m": None if position is None else position.alt_amsl_m,
+            "speed_m_s": None if position is None else round(position.speed_m_s, 2),
+            "velocity_ned_m_s": None if position is None else list(position.velocity_ned_m_s),
+            "error_m": None if tracking is None else round(tracking.error_m, 2),
+            "behind_m": None if tracking is None else round(tracking.behind_m, 2),
+            "beside_m": None if tracking is None else round(tracking.beside_m, 2),
+            "margin_m": None if margin_m is None else round(margin_m, 1),
+            "uplink_age_s": round(air.uplink.age_s, 3) if c.gate.fence is not None else None,
+            "mode": c.mode,
+            "armed": c.armed,
+            "battery_percent": c.monitor.battery_percent,
+            "handovers_done": air.relay.leg,
+            "held_for": air.held_for if c.state is FlightState.HOLDING else None,
+            "handovers": self.handovers_to_come()[:1],
+            "links": {link.station_id: link.to_document(c.now_s) for link in c.monitor.links.values()},
+        }

@@ -1,0 +1,136 @@
+"""From armed motors to the height of the plan's start, each autopilot its own way.
+
+ArduPilot: GUIDED, arm, NAV_TAKEOFF, and not one setpoint during the climb (it would abort it). PX4: a stream of
+setpoints for more than a second first, then OFFBOARD, arm, and the climb is flown by setpoints. An ack is an answer,
+not a fact: modes and arming are believed from the HEARTBEAT alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gcs.flight import EventKind, FlightState
+from link.dialect import mavlink
+from link.session.context import FlightContext
+from link.session.procedure import Refused, Steps, answered, wait_until
+from link.setpoints.reference import Reference
+from link.setpoints.setpoint import Setpoint
+from link.setpoints.straight_line import StraightLine
+
+MODE_WAIT_S = 3.0
+SETTLED_M = 1.5
+SETTLED_M_S = 0.7
+
+
+class TakeOff:
+    """The climb. ``restore`` gives back what was lent, where the vehicle stays on the ground after all."""
+
+    def __init__(self, context: FlightContext, restore: Callable[[], Steps[None]]) -> None:
+        self._c = context
+        self._restore = restore
+
+    def run(self, ground_amsl_m: float) -> Steps[None]:
+        """All of it, from the ground at that altitude. Raises `Refused` while the vehicle is on the ground."""
+        if self._c.profile.name == "ardupilot":
+            yield from self._ardupilot(ground_amsl_m)
+        else:
+            yield from self._px4(ground_amsl_m)
+
+    def _ardupilot(self, ground_amsl_m: float) -> Steps[None]:
+        c = self._c
+        yield from self._enter(c.profile.offboard_mode, None)
+        yield from self._arm(None)
+        c.become(FlightState.TAKEOFF)
+        start_up_m = float(c.plan.trajectory.evaluate(0.0)[2])
+        height_m = start_up_m + c.plan.plane.alt_amsl_m - ground_amsl_m
+        # Answered "failed" when an earlier answer was lost and it climbs already: the height tells.
+        climb = c.start_command("take-off", mavlink.MAV_CMD_NAV_TAKEOFF, (0.0,) * 6 + (height_m,))
+        yield from answered(climb)
+        c.emit(EventKind.COMMAND, name="take-off", result=climb.outcome, attempts=climb.sent)
+        limit_s = 30.0 + height_m / 0.5
+        climbed = yield from wait_until(c, lambda: self._at_height(start_up_m) or not c.armed, limit_s)
+        if not c.armed:
+            yield from self._restore()
+            raise Refused("the vehicle disarmed again instead of climbing")
+        if not climbed:
+            c.alarm("take-off stuck", height_m=height_m)
+        # Arming lays home anew, and may tell the origin again.
+        c.adopt_origin(c.plan.station_ids[0])
+
+    def _at_height(self, up_m: float) -> bool:
+        here, position = self._c.position_enu_m(), self._c.monitor.position
+        if here is None or position is None:
+            return False
+        return abs(here[2] - up_m) <= SETTLED_M and abs(position.velocity_ned_m_s[2]) <= SETTLED_M_S
+
+    def _px4(self, ground_amsl_m: float) -> Steps[None]:
+        c = self._c
+        here = c.position_enu_m()
+        assert here is not None
+        up_m = float(c.plan.trajectory.evaluate(0.0)[2])
+        line = StraightLine(
+            c.plan,
+            0,
+            here,
+            (here[0], here[1], up_m),
+            speed_m_s=c.request.climb_m_s,
+            climb_m_s=c.request.climb_m_s,
+            accel_m_s2=1.0,
+        )
+        climb = Reference(line, accel_m_s2=1.0)
+        started_s = c.now_s
+        while c.now_s - started_s < c.profile.stream_before_offboard_s + 0.5:
+            c.send_setpoint(climb.setpoint())
+            yield
+        yield from self._enter(c.profile.offboard_mode, climb.setpoint())
+        yield from self._arm(climb.setpoint())
+        c.become(FlightState.TAKEOFF)
+        period_s = 1.0 / c.request.rate_hz
+        deadline_s = c.now_s + line.duration_s + 60.0
+        while not (climb.finished and self._at_height(up_m)):
+            if not c.armed or not c.follows:
+                return
+            if c.now_s >= deadline_s:
+                c.alarm("take-off stuck", height_m=up_m + c.plan.plane.alt_amsl_m - ground_amsl_m)
+                return
+            climb.step(period_s, 1.0)
+            c.send_setpoint(climb.setpoint())
+            yield
+
+    def _enter(self, mode: str, streamed: Setpoint | None) -> Steps[None]:
+        """Enter a mode, disarmed; believes the HEARTBEAT. Raises `Refused`."""
+        c = self._c
+        for _ in range(5):
+            ticket = c.start_mode(mode)
+            yield from self._streaming(streamed, lambda: c.mode == mode, MODE_WAIT_S)
+            c.commander.cancel(ticket)
+            if c.mode == mode:
+                c.emit(EventKind.COMMAND, name=f"mode {mode}", result=ticket.outcome, attempts=ticket.sent)
+                return
+        yield from self._restore()
+        raise Refused(f"the vehicle does not enter {mode}: it stays in {c.mode}")
+
+    def _arm(self, streamed: Setpoint | None) -> Steps[None]:
+        """Arm, as often as it takes until the vehicle is ready. Raises `Refused` with its own words."""
+        c = self._c
+        deadline_s = c.now_s + c.request.arm_timeout_s
+        outcome = "no answer"
+        while c.now_s < deadline_s:
+            ticket = c.start_command("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
+            yield from self._streaming(streamed, lambda t=ticket: t.finished or c.armed, MODE_WAIT_S)  # type: ignore[misc]
+            outcome = ticket.outcome
+            c.emit(EventKind.COMMAND, name="arm", result=outcome, attempts=ticket.sent)
+            # The next beat of a 1 Hz HEARTBEAT shows it; a refusal is asked again later.
+            yield from self._streaming(streamed, lambda: c.armed, 2.0)
+            if c.armed:
+                return
+        yield from self._restore()
+        raise Refused(f"the vehicle does not arm ({outcome}): its own words are in the flight's events")
+
+    def _streaming(self, setpoint: Setpoint | None, condition: Callable[[], bool], timeout_s: float) -> Steps[None]:
+        """Wait for a condition, streaming a setpoint meanwhile where one is given."""
+        until_s = self._c.now_s + timeout_s
+        while not condition() and self._c.now_s < until_s:
+            if setpoint is not None:
+                self._c.send_setpoint(setpoint)
+            yield

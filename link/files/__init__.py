@@ -1,0 +1,1 @@
+"""MAVLink's own files and what is read off them: tlogs, setpoint files, reports."""

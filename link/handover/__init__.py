@@ -1,0 +1,1 @@
+"""Control of the vehicle: who holds it, how it passes on."""

@@ -1,0 +1,242 @@
+"""Whom an ArduPilot listens to: set before the flight, moved in flight where asked for, given back after it.
+
+MAV_GCS_SYSID .. MAV_GCS_SYSID_HI is the range of ground stations whose heartbeats count for the failsafe, and, with bit
+0 of MAV_OPTIONS, the only ones that are heard at all; a foreign station is dropped in silence. Two ways of using it:
+
+range (the default)
+    the plan's stations have system ids in one small range, so the vehicle is told that range once, and in flight
+    nothing has to change.
+parameter
+    it hears one station alone, and is told of each handover (`Keeper`). The only way for several stations before 4.7,
+    which has SYSID_MYGCS and SYSID_ENFORCE and no range.
+
+Order matters, because every write must leave the writer inside: HI first, then SYSID (the other way locks everybody out
+when the range grows downwards), enforcement last; back in the opposite order. A sender with the vehicle's own id is
+always heard: it is the way out of a lock-out, and of not knowing whom the vehicle hears.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from gcs.flight import EventKind
+from link.errors import GateClosed
+from link.microservices.parameter import ParameterClient, same_value
+from link.microservices.parameter_value import Parameter, write_parameter
+from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.procedure import Steps, wait_until
+from link.transport.gate import Fence
+
+ENFORCE = 1
+KEYS = ("gcs_system_id", "gcs_system_id_high", "enforce_gcs")
+FIELDS = dict(zip(KEYS, ("low", "high", "options"), strict=True))
+RETRY_S = 0.15
+"""Between writes in flight: an answer takes one round trip."""
+OWN_TRIES = 2
+"""Writes under a station's own id that may stay unanswered before the vehicle's id is used."""
+
+
+@dataclass(frozen=True)
+class Ownership:
+    """The three values: lowest and highest station heard, and the option bits. ``high`` None: there is no range."""
+
+    low: int
+    high: int | None
+    options: int
+
+    def hears(self, system_id: int) -> bool:
+        """Whether a station is obeyed (always, unless enforced)."""
+        return not self.options & ENFORCE or self.low <= system_id <= max(self.low, self.high or 0)
+
+    def alone(self, system_id: int) -> Ownership:
+        """One station heard and no other."""
+        return Ownership(system_id, None if self.high is None else system_id, self.options | ENFORCE)
+
+    def both(self, first: int, second: int) -> Ownership:
+        """Two stations heard (and those between). Without a range that cannot be: the second."""
+        if self.high is None:
+            return self.alone(second)
+        return Ownership(min(first, second), max(first, second), self.options | ENFORCE)
+
+
+def present(values: Mapping[str, Parameter | None]) -> Ownership | None:
+    """What was read; None when the vehicle lacks a name it must have."""
+    low, high, options = (values.get(key) for key in KEYS)
+    if low is None or options is None:
+        return None
+    return Ownership(int(low.value), None if high is None else int(high.value), int(options.value))
+
+
+def wanted(system_ids: Mapping[str, int], before: Ownership) -> Ownership:
+    """The range of the plan's stations, enforced. Without a range, that of one station."""
+    ids = sorted(system_ids.values())
+    high = None if before.high is None else ids[-1] if len(ids) > 1 else 0
+    return Ownership(ids[0], high, before.options | ENFORCE)
+
+
+def writes(before: Ownership, after: Ownership) -> list[tuple[str, int]]:
+    """The writes ``(key, value)`` that lead from one to the other.
+
+    Enforcement goes off before anything else changes, and on after everything has; HI goes before SYSID. A writer
+    inside both ranges, or without enforcement, is heard throughout.
+    """
+    order = ("gcs_system_id_high", "gcs_system_id", "enforce_gcs")
+    if not after.options & ENFORCE:
+        order = ("enforce_gcs", "gcs_system_id_high", "gcs_system_id")
+    changes = [(key, getattr(after, FIELDS[key])) for key in order]
+    return [(key, value) for key, value in changes if value is not None and value != getattr(before, FIELDS[key])]
+
+
+def apply(
+    context: FlightContext,
+    parameters: ParameterClient,
+    values: Mapping[str, Parameter | None],
+    before: Ownership,
+    after: Ownership,
+) -> Steps[bool]:
+    """Write and read back, on the ground; whether all was taken.
+
+    Where the station in control is not heard (any more), its link is used with the vehicle's own id.
+    """
+    station = context.fence.station_id.removesuffix(VEHICLE_STATION)
+    done = True
+    for key, value in writes(before, after):
+        parameter = values[key]
+        assert parameter is not None
+        old = parameters.known[parameter.name].value
+        taken = yield from _write(context, parameters, parameter.name, value, context.fence)
+        if not taken:
+            # The answer may have been lost on a link that is shut to us now.
+            context.grant(station + VEHICLE_STATION, "not heard under its own id")
+            taken = yield from _write(context, parameters, parameter.name, value, context.fence)
+        if taken:
+            context.emit(EventKind.PARAMETER, name=parameter.name, before=old, after=value)
+        done = done and taken
+    context.grant(station, "parameters written")
+    return done
+
+
+def _write(context: FlightContext, parameters: ParameterClient, name: str, value: int, fence: Fence) -> Steps[bool]:
+    setting = parameters.set(name, value, fence, attempts=6)
+    while not setting.finished:
+        yield
+    return setting.confirmed
+
+
+def reread(
+    context: FlightContext, parameters: ParameterClient, values: Mapping[str, Parameter | None]
+) -> Steps[Ownership | None]:
+    """What the vehicle says now, asked under the station's own id and then under the vehicle's; None: no answer."""
+    station = context.fence.station_id.removesuffix(VEHICLE_STATION)
+    names = {key: parameter.name for key in KEYS if (parameter := values.get(key)) is not None}
+    for speaker in (station, station + VEHICLE_STATION):
+        context.grant(speaker, "whom does the vehicle hear")
+        asked = parameters.read(names.values(), context.fence)
+        yield from wait_until(context, lambda a=asked: all(one.finished for one in a), 30.0)  # type: ignore[misc]
+        answers = {one.name: one.answer for one in asked}
+        if all(answer is not None for answer in answers.values()):
+            context.grant(station, "answered")
+            return present({key: answers[name] for key, name in names.items()})
+    context.grant(station, "no answer")
+    return None
+
+
+class Keeper:
+    """In flight, with ownership by parameter: the vehicle hears the station in control, and in a handover both.
+
+    Every unanswered write leaves two states the vehicle may be in, so a set of them is kept; any PARAM_VALUE of the
+    vehicle, over whichever link, narrows it down. A station writes under its own id while all of them hear it; else,
+    and where that stays unanswered, the write goes over its link under the vehicle's own id, which is always heard. So
+    nobody stays locked out whose link works.
+
+    `step` once a tick, `on_value` for every PARAM_VALUE.
+    """
+
+    def __init__(self, context: FlightContext, values: Mapping[str, Parameter | None], now: Ownership) -> None:
+        self._c = context
+        self._parameters = {key: parameter for key in KEYS if (parameter := values.get(key)) is not None}
+        self._keys = {parameter.name: key for key, parameter in self._parameters.items()}
+        self.states: frozenset[Ownership] = frozenset({now})
+        """What the vehicle may be set to."""
+        self.claimed: str | None = None
+        """The station that is to be heard alone before control moves, where the vehicle has no range."""
+        self._tries = 0
+        self._write: tuple[str, int] | None = None
+        self._next_s = 0.0
+        self._rescued = False
+
+    @property
+    def ranged(self) -> bool:
+        """Whether two stations can be heard at once."""
+        return "gcs_system_id_high" in self._parameters
+
+    def hears(self, station: str) -> bool:
+        """Whether the vehicle surely obeys a station."""
+        return all(state.hears(self._c.system_ids[station]) for state in self.states)
+
+    def wanted(self) -> Ownership | None:
+        """What it is to be set to now; None while nobody is in control."""
+        gate, any_state = self._c.gate, next(iter(self.states))
+        holder = gate.holder
+        if holder is None:
+            return None
+        own = self._c.system_ids[holder.removesuffix(VEHICLE_STATION)]
+        if self.claimed is not None:
+            return any_state.alone(self._c.system_ids[self.claimed])
+        if gate.incoming is not None and self.ranged:
+            return any_state.both(own, self._c.system_ids[gate.incoming])
+        return any_state.alone(own)
+
+    def step(self, now_s: float) -> None:
+        """Write what is due."""
+        goal = self.wanted()
+        due = None if goal is None else self._due(goal)
+        if due != self._write:
+            self._write, self._tries, self._next_s = due, 0, now_s
+        if due is None:
+            self._rescued = False
+            return
+        if now_s < self._next_s - 1e-9:
+            return
+        self._next_s = now_s + RETRY_S
+        self._tries += 1
+        self._put(*due)
+
+    def _due(self, goal: Ownership) -> tuple[str, int] | None:
+        """The next write: the first, in the order that locks nobody out, that any possible state still needs."""
+        ahead = [writes(state, goal) for state in self.states]
+        for key in ("gcs_system_id_high", "gcs_system_id", "enforce_gcs"):
+            for steps in ahead:
+                for step in steps:
+                    if step[0] == key:
+                        return step
+        return None
+
+    def _put(self, key: str, value: int) -> None:
+        c, parameter = self._c, self._parameters[key]
+        fence = c.fence
+        station = fence.station_id.removesuffix(VEHICLE_STATION)
+        rescue = not self.hears(station) or self._tries > OWN_TRIES
+        message = write_parameter(parameter.name, value, parameter.kind, "c_cast", target_system=c.vehicle)
+        if rescue and not self._rescued:
+            self._rescued = True
+            c.alarm("ownership by the vehicle's own id", station=station, parameter=parameter.name, value=value)
+        try:
+            c.gate.send(fence, message, speaker=station + VEHICLE_STATION if rescue else None)
+        except GateClosed:
+            return
+        self.states = self.states | {replace(state, **{FIELDS[key]: value}) for state in self.states}
+
+    def on_value(self, name: str, value: float) -> None:
+        """Take a value the vehicle told."""
+        key = self._keys.get(name)
+        if key is None:
+            return
+        field = FIELDS[key]
+        before = {getattr(state, field) for state in self.states}
+        fitting = frozenset(state for state in self.states if same_value(value, getattr(state, field)))
+        self.states = fitting or frozenset(replace(state, **{field: int(value)}) for state in self.states)
+        if len(before) > 1 or not fitting:
+            old = sorted(one for one in before if one != value)
+            self._c.emit(EventKind.PARAMETER, name=name, before=old[0] if old else None, after=int(value))

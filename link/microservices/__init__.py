@@ -1,0 +1,1 @@
+"""MAVLink's microservices: command, parameter, mission."""

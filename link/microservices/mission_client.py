@@ -1,0 +1,56 @@
+"""One list transfer at a time over the gate: what `link.microservices.mission_upload` wants is sent, what comes is
+passed on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from link.errors import GateClosed
+from link.microservices.mission_download import MissionTransfer
+from link.transport.gate import Fence
+
+
+class MissionDesk:
+    """Runs transfers of one flight. ``send`` is the gate's."""
+
+    def __init__(self, send: Callable[[Fence, Any], object]) -> None:
+        self._send = send
+        self._fence: Fence | None = None
+        self._transfer: MissionTransfer | None = None
+
+    def start(self, now_s: float, fence: Fence, transfer: MissionTransfer) -> None:
+        """Begin a transfer under a grant; one that is under way is cancelled."""
+        if self._transfer is not None:
+            self._transfer.cancel()
+            self._flush()
+        self._fence, self._transfer = fence, transfer
+        transfer.start(now_s)
+        self._flush()
+
+    def on_message(self, now_s: float, message: Any) -> None:
+        """Take a message of the vehicle."""
+        if self._transfer is not None:
+            self._transfer.receive(message, now_s)
+            self._flush()
+
+    def step(self, now_s: float) -> None:
+        """Let time pass."""
+        if self._transfer is not None:
+            self._transfer.step(now_s)
+            self._flush()
+
+    def _flush(self) -> None:
+        transfer, fence = self._transfer, self._fence
+        if transfer is None or fence is None:
+            return
+        try:
+            for message in transfer.take_outgoing():
+                self._send(fence, message)
+        except GateClosed:
+            # Control moved on: whatever the vehicle holds now, nobody may go on writing it.
+            transfer.cancel()
+            transfer.take_outgoing()
+        if not transfer.running:
+            self._transfer = None

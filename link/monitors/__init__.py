@@ -1,0 +1,1 @@
+"""What is watched in flight: tracking, uplink, range, battery, control."""

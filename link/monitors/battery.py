@@ -1,0 +1,56 @@
+"""The vehicle's battery in flight, by its SYS_STATUS: what a person must know before the autopilot acts on it.
+
+What the autopilot does when its battery is low is its own, judged before launch (`link.preflight.failsafe_parameters`).
+Flown beyond sight that may end the flight far from everybody, so it is told earlier here: when little is left, when
+very little is, and when what is left will not last to the end of the plan.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from link.session.context import FlightContext
+
+LOW_PERCENT, CRITICAL_PERCENT = 20, 10
+RESERVE_PERCENT = 10.0
+"""What must be left at the end of the plan for the battery to be said to last."""
+FEWEST_STEPS, MOST_STEPS = 4, 11
+"""SYS_STATUS counts in whole per cents: the rate is that between the newest of its steps, so many of them."""
+AGAIN_PERCENT = 3.0
+"""So much worse than what was told is told again."""
+
+
+class BatteryWatch:
+    """Raises each alarm once: "battery low", "battery critical", and "the battery will not last"."""
+
+    def __init__(self, context: FlightContext) -> None:
+        self._c = context
+        self._steps: deque[tuple[float, int]] = deque(maxlen=MOST_STEPS)
+        self._told = 101
+        self._told_at_end = RESERVE_PERCENT
+
+    def update(self, left_s: float | None) -> None:
+        """Look at the newest figure; once a tick. ``left_s``: time to the end of the plan, None where off it."""
+        c = self._c
+        percent = c.monitor.battery_percent
+        if percent is None:
+            return
+        for level, what in ((CRITICAL_PERCENT, "battery critical"), (LOW_PERCENT, "battery low")):
+            if percent < level <= self._told:
+                self._told = level - 1
+                c.alarm(what, percent=percent)
+                break
+        if self._steps and percent == self._steps[-1][1]:
+            return
+        if self._steps and percent > self._steps[-1][1]:
+            self._steps.clear()  # another battery, or a better estimate
+        self._steps.append((c.now_s, percent))
+        if left_s is None or len(self._steps) < FEWEST_STEPS:
+            return
+        since_s, first = self._steps[0]
+        at_end = percent - (first - percent) / (c.now_s - since_s) * left_s
+        if at_end < self._told_at_end:
+            self._told_at_end = at_end - AGAIN_PERCENT
+            c.alarm(
+                "the battery will not last", percent=percent, at_end_percent=round(at_end, 1), left_s=round(left_s, 1)
+            )

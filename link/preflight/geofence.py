@@ -1,0 +1,166 @@
+"""The vehicle's own fence against the plan: one that would act inside it, and one laid around it on request.
+
+A fence acts by itself: a plan that leaves it ends in the fence's action, in mid-flight. So what is in force is judged
+before the flight: PX4's polygons always are, its distances when not 0; ArduPilot's by FENCE_ENABLE and FENCE_TYPE.
+
+The fence laid on request is one convex polygon around everything the vehicle may do by itself: the path, and every
+straight way from it to home and to the rally points, with a margin. Anything narrower would stop the autopilot's own
+return at the fence.
+
+Source: MAVLink fence items (MAV_CMD_NAV_FENCE_*, 5001-5004); parameter definitions of both autopilots.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs.plan.failsafe_return import Place
+from gcs.plan.model import Plan
+from link.autopilot.profile import AutopilotProfile
+from link.dialect import mavlink
+from link.microservices.mission_item import MissionItem, inclusion_fence
+from link.preflight.check import Check, Level
+from link.preflight.failsafe_parameters import Values
+
+Array = NDArray[np.float64]
+
+SIDES = 16
+"""Of the polygon laid: a vehicle stores few corners (PX4 16 at least), and this many cost 2 % of area."""
+MARGIN_S = 5.0
+LEAST_MARGIN_M = 50.0
+PATH_STEP_S = 0.5
+HEIGHT, CIRCLE, POLYGONS = 1, 2, 4
+"""Bits of ArduPilot's FENCE_TYPE."""
+INSIDE_POLYGON = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+OUTSIDE_POLYGON = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+INSIDE_CIRCLE = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
+OUTSIDE_CIRCLE = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
+
+ACTIONS = {
+    "px4": {0: "nothing", 1: "a text", 2: "hold", 3: "return", 4: "terminate", 5: "land"},
+    "ardupilot": {
+        0: "a text",
+        1: "return, or land",
+        2: "land",
+        3: "smart return, return or land",
+        4: "brake, or land",
+        5: "smart return, or land",
+    },
+}
+TEXT_ONLY = {"px4": (0, 1), "ardupilot": (0,)}
+
+
+def path_m(plan: Plan) -> Array:
+    """``(N, 3)``: the plan's path in its plane, closely."""
+    count = max(2, math.ceil(plan.mission_time_s / PATH_STEP_S) + 1)
+    return np.asarray(plan.trajectory.evaluate(np.linspace(0.0, plan.mission_time_s, count)))
+
+
+def around(plan: Plan, home_enu_m: Place, points: Sequence[Place]) -> list[MissionItem]:
+    """The fence to lay: `SIDES` corners around the path, home and the rally points, convex."""
+    margin_m = max(LEAST_MARGIN_M, MARGIN_S * plan.mission.limits.max_speed_m_s)
+    places = np.concatenate([path_m(plan)[:, :2], np.array([p[:2] for p in (home_enu_m, *points)])])
+    angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    reach = (places @ normals.T).max(axis=0) + margin_m
+    corners = []
+    for k in range(SIDES):
+        pair = [k, (k + 1) % SIDES]
+        corner = np.linalg.solve(normals[pair], reach[pair])
+        lat, lon = plan.plane.to_geodetic(float(corner[0]), float(corner[1]))
+        corners.append((float(lat), float(lon)))
+    return inclusion_fence(corners)
+
+
+def in_force(profile: AutopilotProfile, values: Values) -> bool:
+    """Whether polygons stored in the vehicle act, or may."""
+    if profile.name == "px4":
+        return True
+    kinds = profile.measure(values, "fence_type")
+    return bool(profile.measure(values, "fence_enabled")) and (kinds is None or bool(int(kinds) & POLYGONS))
+
+
+def judge_limits(profile: AutopilotProfile, values: Values, plan: Plan, home_enu_m: Place) -> list[Check]:
+    """The fence's distance and height about home, where they are in force."""
+    action = profile.measure(values, "fence_action")
+    enabled = profile.name == "px4" or bool(profile.measure(values, "fence_enabled"))
+    kinds = HEIGHT | CIRCLE if profile.name == "px4" else int(profile.measure(values, "fence_type") or 0)
+    if not enabled:
+        return []
+    path = path_m(plan)
+    asked = {
+        "fence_radius": (CIRCLE, float(np.hypot(*(path[:, :2] - home_enu_m[:2]).T).max()), "from home"),
+        "fence_height": (HEIGHT, float(path[:, 2].max() - home_enu_m[2]), "above home"),
+    }
+    harmless = action is not None and int(action) in TEXT_ONLY[profile.name]
+    checks = []
+    for key, (bit, far_m, where) in asked.items():
+        parameter = values.get(key)
+        if parameter is None or not kinds & bit or parameter.value <= 0.0:
+            continue
+        fits = far_m < float(parameter.value)
+        level = Level.PASS if fits else Level.WARNING if harmless else Level.FAILURE
+        message = f"the plan goes up to {far_m:.0f} m {where}" + ("" if fits else "; the vehicle's own fence would act")
+        fix = f"raise {parameter.name} above {far_m:.0f} m, or switch that fence off"
+        checks.append(Check(parameter.name, level, message, parameter.value, f"more than {far_m:.0f} m", fix=fix))
+    return checks
+
+
+def judge_stored(profile: AutopilotProfile, values: Values, plan: Plan, items: Sequence[MissionItem]) -> Check:
+    """The polygons and circles the vehicle holds, which are in force."""
+    if not items:
+        return Check("fence", Level.PASS, "the vehicle holds no fence", 0)
+    path = path_m(plan)[:, :2]
+    outside = _outside(plan, items, path)
+    action = profile.measure(values, "fence_action")
+    does = ACTIONS[profile.name].get(-1 if action is None else int(action), "an action nobody knows")
+    harmless = action is not None and int(action) in TEXT_ONLY[profile.name]
+    if not outside:
+        message = f"the plan stays inside the vehicle's own fence of {len(items)} items (its action: {does})"
+        return Check("fence", Level.PASS, message, len(items), "the plan inside it")
+    level = Level.WARNING if harmless else Level.FAILURE
+    message = f"the plan leaves the vehicle's own fence of {len(items)} items, which answers with: {does}"
+    fix = "clear or redraw the vehicle's fence, or give --fence to lay one around this plan for the flight"
+    return Check("fence", level, message, len(items), "the plan inside it", fix=fix)
+
+
+def _outside(plan: Plan, items: Sequence[MissionItem], path: Array) -> bool:
+    """Whether any place of the path is where the items do not let it be."""
+    index = 0
+    while index < len(items):
+        item = items[index]
+        if item.command in (INSIDE_POLYGON, OUTSIDE_POLYGON):
+            count = max(1, int(item.parameters[0]))
+            inside = _in_polygon(path, _plane_m(plan, items[index : index + count]))
+            if not inside.all() if item.command == INSIDE_POLYGON else inside.any():
+                return True
+            index += count
+            continue
+        if item.command in (INSIDE_CIRCLE, OUTSIDE_CIRCLE):
+            away_m = np.hypot(*(path - _plane_m(plan, [item])[0]).T)
+            inside = away_m < item.parameters[0]
+            if not inside.all() if item.command == INSIDE_CIRCLE else inside.any():
+                return True
+        index += 1
+    return False
+
+
+def _plane_m(plan: Plan, items: Sequence[MissionItem]) -> Array:
+    east, north = plan.plane.to_plane([i.lat_deg for i in items], [i.lon_deg for i in items])
+    return np.stack([np.asarray(east), np.asarray(north)], axis=-1)
+
+
+def _in_polygon(places: Array, corners: Array) -> NDArray[np.bool_]:
+    """Whether each place is inside, by the number of sides a ray to the east crosses."""
+    inside = np.zeros(len(places), dtype=bool)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        spans = (a[1] > places[:, 1]) != (b[1] > places[:, 1])
+        if not spans.any():
+            continue
+        east = a[0] + (places[spans, 1] - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+        inside[spans] ^= places[spans, 0] < east
+    return inside

@@ -1,0 +1,1 @@
+"""What the parts of one flight share: its request, clock, events, control."""

@@ -1,0 +1,1 @@
+"""Setpoints: the plan resampled, the reference that is streamed."""

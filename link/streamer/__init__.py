@@ -1,0 +1,1 @@
+"""The streaming process and its supervisor."""

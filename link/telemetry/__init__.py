@@ -1,0 +1,1 @@
+"""What the vehicle says, over which link, how old."""

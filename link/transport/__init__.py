@@ -1,0 +1,1 @@
+"""Byte pipes, and the gate every frame leaves by."""

@@ -1,0 +1,1 @@
+"""Bytes and messages: codec, signing, the timestamps signing keeps."""

@@ -1,0 +1,1 @@
+"""The balls a trajectory goes through piece by piece, and first polylines in them."""

@@ -1,0 +1,91 @@
+"""Where along a polyline the joints of a corridor's pieces start out.
+
+Pieces pay where the speed changes: one polynomial cannot both accelerate and cruise. So the polyline is flown in
+thought with a trapezoidal speed profile, at rest at both ends, slowed at bends and in lenses too short for the overlap
+asked for, and each leg is cut into parts of equal time, in which time spent speeding up or braking counts several
+times.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.corridor.corridor import Corridor, Piece
+from planner.problem import Problem
+from planner.speed_profile import Array, speed_profile
+
+# How much more an acceleration phase counts than cruising.
+CHANGE_WEIGHT = 5.0
+# Part of the acceleration limit that polynomials reach on average while speeding up, and while turning in a bend.
+STRAIGHT_ACCEL, BEND_ACCEL = 0.5, 0.25
+# Points per leg at which the profile is looked at.
+SAMPLES = 128
+
+
+def spread_waypoints(problem: Problem, corridor: Corridor, polyline_m: Array) -> Array:
+    """Points ``(K + 1, 3)`` for the joints of ``corridor`` along ``polyline_m`` ``(legs + 1, 3)``.
+
+    The polyline runs from the start through one handover point per lens to the destination. An entry or exit piece
+    reaches from the handover point along its leg for as long as it lasts at full speed, but not out of the other
+    station's range. Points may coincide. Raises ``ValueError`` for a polyline that does not fit the corridor.
+    """
+    polyline_m = np.asarray(polyline_m, dtype=float)
+    legs = len(corridor.sequence)
+    if polyline_m.shape != (legs + 1, 3):
+        raise ValueError(f"polyline_m must be (legs + 1, 3) = ({legs + 1}, 3), not {polyline_m.shape}")
+    step = np.diff(polyline_m, axis=0)
+    length = np.maximum(np.linalg.norm(step, axis=1), 1e-9)
+    pieces = [[corridor.pieces[k] for k in corridor.leg_pieces(leg)] for leg in range(legs)]
+    inside = np.zeros((legs, 2))
+    for leg, own in enumerate(pieces):
+        heading = step[leg] / length[leg]
+        if len(own[0].balls) > 1:
+            inside[leg, 0] = _lens_length_m(problem, own[0], polyline_m[leg], heading, length[leg])
+        if len(own[-1].balls) > 1:
+            inside[leg, 1] = _lens_length_m(problem, own[-1], polyline_m[leg + 1], -heading, length[leg])
+        inside[leg] *= min(1.0, length[leg] / max(float(inside[leg].sum()), 1e-12))
+    speed = _handover_speeds(problem, step / length[:, None], length, inside)
+    points = [polyline_m[:1]]
+    for leg, own in enumerate(pieces):
+        entry, leave = len(own[0].balls) > 1, len(own[-1].balls) > 1
+        span = (inside[leg, 0], length[leg] - inside[leg, 1])
+        at = _equal_shares(problem, span, length[leg], speed[leg : leg + 2], len(own) - entry - leave)
+        at = np.concatenate([at[0 if entry else 1 :], [length[leg]] if leave else []])
+        points.append(polyline_m[leg] + at[:, None] * step[leg] / length[leg])
+    return np.concatenate(points)
+
+
+def _lens_length_m(problem: Problem, piece: Piece, at: Array, heading: Array, length: float) -> float:
+    """How far from its handover point ``at`` an entry or exit piece gets along its leg, inside both balls."""
+    other = piece.balls[1]
+    offset = at - problem.station_positions_m[other]
+    along = float(heading @ offset)
+    room = np.sqrt(max(along**2 - float(offset @ offset) + float(problem.ranges_m[other]) ** 2, 0.0)) - along
+    return max(float(min(0.99 * room, problem.limits.max_speed_m_s * piece.min_duration_s, length)), 0.0)
+
+
+def _handover_speeds(problem: Problem, heading: Array, length: Array, inside: Array) -> Array:
+    """``(legs + 1,)``: speed expected at the ends of the legs."""
+    limits = problem.limits
+    accel = STRAIGHT_ACCEL * limits.max_accel_m_s2
+    bend = np.arccos(np.clip((heading[:-1] * heading[1:]).sum(axis=1), -1.0, 1.0))
+    room = np.minimum(length[:-1], length[1:])
+    around = np.sqrt(BEND_ACCEL * limits.max_accel_m_s2 * room / np.maximum(bend, 1e-6))
+    if problem.min_overlap_s > 0.0:
+        around = np.minimum(around, (inside[:-1, 1] + inside[1:, 0]) / problem.min_overlap_s)
+    around = np.clip(around, 1e-3 * limits.max_speed_m_s, limits.max_speed_m_s)
+    start = min(float(np.linalg.norm(problem.start_velocity_m_s)), limits.max_speed_m_s)
+    return speed_profile(np.concatenate([[start], around, [0.0]]), length, accel)
+
+
+def _equal_shares(problem: Problem, span: tuple[float, float], length: float, speed: Array, parts: int) -> Array:
+    """Where to cut the ``span`` of a leg into ``parts``, both ends included: ``(parts + 1,)`` lengths along the leg."""
+    limits = problem.limits
+    accel = STRAIGHT_ACCEL * limits.max_accel_m_s2
+    edges = np.linspace(span[0], span[1], SAMPLES + 1)
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    profile = np.sqrt(np.minimum(speed[0] ** 2 + 2.0 * accel * middle, speed[1] ** 2 + 2.0 * accel * (length - middle)))
+    weight = np.where(profile < limits.max_speed_m_s, CHANGE_WEIGHT, 1.0)
+    weight /= np.clip(profile, 1e-3 * limits.max_speed_m_s, limits.max_speed_m_s)
+    spent = np.concatenate([[0.0], np.cumsum(weight)])
+    return np.interp(np.linspace(0.0, spent[-1], parts + 1), spent, edges)

@@ -1,0 +1,1 @@
+"""The seed paper's experiments: enumeration, rivals, the readable cvxpy reference."""

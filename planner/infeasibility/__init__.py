@@ -1,0 +1,1 @@
+"""What makes a problem impossible, and the changes that would help."""

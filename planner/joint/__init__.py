@@ -1,0 +1,1 @@
+"""The position-and-time program: transcription, Newton steps, interior point."""

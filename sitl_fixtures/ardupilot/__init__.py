@@ -1,0 +1,1 @@
+"""ArduCopter's manners."""

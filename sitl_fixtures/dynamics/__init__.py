@@ -1,0 +1,1 @@
+"""The aircraft: motion, control, estimate, battery."""

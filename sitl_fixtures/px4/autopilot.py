@@ -1,0 +1,339 @@
+"""PX4's manners, as recorded from 1.17.
+
+What a ground station is most likely to trip over:
+
+- Nobody owns the vehicle: the last set-point wins, whoever sent it.
+- DO_SET_MODE is acknowledged twice, and the acknowledgement says nothing: in flight, OFFBOARD without a stream is
+  "accepted" and does not happen. Only HEARTBEAT tells, once a second.
+- When the stream stops, the vehicle is pulled back to the last position at once; COM_OF_LOSS_T later the failsafe of
+  COM_OBL_RC_ACT acts. When the stream comes back it enters OFFBOARD again, unasked, unless another mode was commanded.
+- Set-points that are refused do not hold OFFBOARD.
+- The home altitude wanders by a metre in flight, and relative set-points with it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sitl_fixtures.autopilot import CRITICAL, INFO, Command, Personality
+from sitl_fixtures.dynamics.controller import Tracker
+from sitl_fixtures.dynamics.estimator import SphereProjection
+from sitl_fixtures.dynamics.guidance import ZERO, Guidance, Limits, Vector
+from sitl_fixtures.mavlink import mission_protocol
+from sitl_fixtures.mavlink.parameters import Parameter
+from sitl_fixtures.mavlink.wire import Message
+from sitl_fixtures.px4 import setpoints as setpoints
+from sitl_fixtures.px4.commands import Px4Commands
+from sitl_fixtures.px4.failsafe import Px4Failsafe
+from sitl_fixtures.px4.flight import IDLE, Px4Flight
+from sitl_fixtures.px4.modes import HOLD, LAND, MISSION, MODE_NAMES, OFFBOARD, POSCTL, RTL, Mode
+from sitl_fixtures.px4.parameters import PX4
+
+
+class Px4(Personality):
+    """PX4 1.17 multicopter."""
+
+    NAME = "px4"
+    AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
+    PROJECTION = SphereProjection
+    PARAMETERS = PX4
+    ORIGIN_AT = 0.2
+    MISSIONS = mission_protocol.PX4
+    BITWISE_PARAMETERS = True
+
+    def __init__(self, vehicle: object) -> None:
+        super().__init__(vehicle)  # type: ignore[arg-type]
+        self.guidance = Guidance(Tracker((0.95, 1.0), (1.8, 4.0), (0.4, 2.0)), Limits())
+        self.intended: Mode = HOLD
+        self.mode: Mode = HOLD
+        self.mode_after_disarm: Mode = HOLD
+        self.target: setpoints.Target | None = None
+        self.stream_s = -math.inf
+        self.hold_at: Vector = ZERO
+        self.takeoff_alt_amsl_m = 0.0
+        self.echoed: tuple[Vector, Vector, Vector] = IDLE
+        self.stream_timeout_s = 1.03
+        self.texts = 0
+        self.flight = Px4Flight(self)
+        self.failsafe = Px4Failsafe(self)
+        self.commands = Px4Commands(self)
+
+    # -- parameters ---------------------------------------------------------------------------------------------------
+
+    def refresh(self) -> None:
+        """Takes over limits and gains from the parameters."""
+        p, limits = self.params, self.guidance.limits
+        limits.speed_m_s = p["MPC_XY_CRUISE"]
+        limits.up_m_s, limits.down_m_s = p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"]
+        limits.accel_m_s2 = max(0.5, p["MPC_ACC_HOR"])
+        limits.jerk_m_s3 = max(1.0, p["MPC_JERK_AUTO"])
+        limits.accel_z_m_s2 = max(0.5, p["MPC_ACC_DOWN_MAX"])
+        limits.jerk_z_m_s3 = max(1.0, p["MPC_JERK_AUTO"])
+        limits.brake_m_s2 = 0.6 * limits.accel_m_s2
+        limits.brake_z_m_s2 = 0.5 * limits.accel_z_m_s2
+        self.flight.max_speed_m_s = p["MPC_XY_VEL_MAX"]
+        self.stream_timeout_s = p["COM_OF_LOSS_T"] + 0.03
+        self.failsafe.gcs_timeout_s = p["COM_DL_LOSS_T"]
+        self.flight.climb_m_s = p["MPC_Z_VEL_MAX_UP"]
+        self.flight.yaw_rate_rad_s = math.radians(p["MPC_YAWRAUTO_MAX"])
+        tracker = self.guidance.tracker
+        tracker.position_gain = (p["MPC_XY_P"], p["MPC_Z_P"])
+        tracker.velocity_gain = (p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"])
+        tracker.integral_gain = (p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"])
+        config = self.vehicle.config
+        tilt = p["MPC_TILTMAX_AIR"] if config.tilt_deg is None else config.tilt_deg
+        self.vehicle.set_aircraft(
+            tilt_deg=max(10.0, min(80.0, tilt)), drag_linear_1_s=p["SIH_KDV"] / max(0.1, p["SIH_MASS"])
+        )
+
+    def named_index(self, parameter: Parameter) -> int:
+        """A parameter always carries its place in the list."""
+        return parameter.index
+
+    def on_parameter_set(self, link: int, parameter: Parameter) -> None:
+        """PARAM_VALUE to the station that set it, and a little later again to every link, unasked."""
+        self.vehicle.send_parameter(parameter, link)
+        self.vehicle.after(0.015, lambda: self.vehicle.send_parameter(parameter, None, parameter.index))
+
+    def tick(self, dt: float) -> None:
+        """Failsafes, then flight."""
+        self.guidance.update(self.position, self.velocity)
+        self.failsafe.check(self.vehicle.time_s)
+        self.flight.tick(dt)
+
+    def slow_tick(self, dt: float) -> None:
+        """The battery, and the home altitude."""
+        self.failsafe.slow_check(dt)
+
+    def on_command(self, command: Command) -> None:
+        """See ``px4_commands``."""
+        self.commands.handle(command)
+
+    def on_heartbeat(self, link: int, message: Message) -> None:
+        """Any ground station's heartbeat counts."""
+        self.failsafe.heard(link, message)
+
+    def arm(self) -> None:
+        """Arms: home is set where the vehicle stands."""
+        self.armed = True
+        self.armed_at_s = self.vehicle.time_s
+        self.flight.flown = False
+        self.flight.landed_for_s = 0.0
+        self.home = self.vehicle.telemetry.believed_place()
+
+    # -- who may speak ------------------------------------------------------------------------------------------------
+
+    def heard_from(self, link: int, message: Message) -> bool:
+        """Everyone."""
+        return True
+
+    def addressed(self, message: Message) -> bool:
+        """The vehicle's own system id alone, component 1 or 0."""
+        return message.target_system == self.vehicle.config.system_id and message.target_component in (0, 1)
+
+    def parameters_for(self, message: Message) -> bool:
+        """Component 1 or 0."""
+        return message.target_system in (0, self.vehicle.config.system_id) and message.target_component in (0, 1)
+
+    # -- what it says -------------------------------------------------------------------------------------------------
+
+    def text(self, text: str, severity: int = INFO, link: int | None = None) -> None:
+        """STATUSTEXT ending in a tab, in pieces of 50 characters, each text with a number of its own."""
+        whole = text + "\t"
+        for chunk, start in enumerate(range(0, len(whole), 50)):
+            piece = whole[start : start + 50].encode()
+            self.vehicle.send(mavlink.MAVLink_statustext_message(severity, piece, self.texts & 0xFFFF, chunk), link)
+        self.texts += 1
+
+    def heartbeat(self) -> Message:
+        """HEARTBEAT: main mode in bits 16-23 of custom_mode, sub mode in bits 24-31."""
+        main, sub = self.mode
+        base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        if self.mode == OFFBOARD:
+            if self.stream_fresh or self.armed:
+                base |= mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        elif main == 4:
+            base |= 28
+        else:
+            base |= mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        if self.armed:
+            base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        if self.failsafe_active:
+            status = mavlink.MAV_STATE_CRITICAL
+        elif self.armed:
+            status = mavlink.MAV_STATE_ACTIVE
+        elif self.arming_faults():
+            status = mavlink.MAV_STATE_UNINIT
+        else:
+            status = mavlink.MAV_STATE_STANDBY
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base, main << 16 | sub << 24, status, 3
+        )
+
+    def position_target(self) -> Message | None:
+        """The echo: what the controller holds; while disarmed there is none."""
+        if not self.armed:
+            return None
+        mask = 0
+        flat: list[float] = []
+        for part in self.echoed:
+            for value in part:
+                if math.isnan(value):
+                    mask |= 1 << len(flat)
+                flat.append(value)
+        return mavlink.MAVLink_position_target_local_ned_message(
+            int(self.vehicle.time_s * 1000), 1, mask, *flat, self.yaw_rad, 0.0
+        )
+
+    def version(self) -> Message:
+        """AUTOPILOT_VERSION of PX4 1.17.0."""
+        uid = b"simulated-px4"
+        return mavlink.MAVLink_autopilot_version_message(
+            59647,
+            17891583,
+            17891583,
+            101854463,
+            1,
+            list(b"simulatd"),
+            [0] * 8,
+            [0] * 8,
+            0,
+            0,
+            1,
+            list(uid.ljust(18, b"\0")),
+        )
+
+    @property
+    def acceptance_radius_m(self) -> float:
+        """How near a waypoint counts as reached, m."""
+        return self.params["NAV_ACC_RAD"]
+
+    @property
+    def mode_name(self) -> str:
+        """The mode in words."""
+        return MODE_NAMES.get(self.mode, str(self.mode))
+
+    def on_ready(self) -> None:
+        """Health checks pass from now on."""
+
+    def on_origin(self) -> None:
+        """Home is set, the origin told."""
+        vehicle = self.vehicle
+        self.home = vehicle.telemetry.believed_place()
+        vehicle.send(vehicle.telemetry.global_origin())
+        vehicle.send(vehicle.telemetry.home_position())
+        vehicle.telemetry.set_default_interval(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 2.0)
+
+    # -- modes --------------------------------------------------------------------------------------------------------
+
+    @property
+    def stream_fresh(self) -> bool:
+        """Whether accepted set-points keep coming."""
+        return self.vehicle.time_s - self.stream_s <= self.stream_timeout_s
+
+    def unavailable(self, mode: Mode) -> str | None:
+        """Why a mode cannot be entered now; None when it can."""
+        if mode == OFFBOARD and self.armed and not self.vehicle.body.on_ground and not self.stream_fresh:
+            return "Switching to Offboard is currently not available"
+        if mode == MISSION and not self.vehicle.missions.total:
+            return "Switching to Mission is currently not available"
+        return None
+
+    def intend(self, mode: Mode) -> bool:
+        """A mode commanded by a person; False when it cannot be entered and is not."""
+        refusal = self.unavailable(mode)
+        if refusal is not None:
+            self.text(refusal, CRITICAL)
+            return False
+        self.intended = mode
+        if not self.armed:
+            self.mode_after_disarm = mode
+        self.failsafe_active = False
+        self.go(mode)
+        return True
+
+    def go(self, mode: Mode) -> None:
+        """Takes a mode up."""
+        if mode == self.mode:
+            return
+        self.mode = mode
+        self.flight.stage = ""
+        guidance = self.guidance
+        guidance.update(self.position, self.velocity)
+        guidance.reset()
+        vn, ve, vd = self.velocity
+        n, e, d = self.position
+        speed = math.hypot(vn, ve)
+        reach = speed / (2.0 * guidance.limits.accel_m_s2) + 0.3 if speed > 0.3 else 0.0
+        self.hold_at = (n + vn * reach, e + ve * reach, d + 0.2 * vd)
+
+    def disarm(self, text: str) -> None:
+        """Disarms, in the air too; the mode is then the one last commanded while disarmed."""
+        self.armed = self.failsafe_active = False
+        self.flight.flown = False
+        self.flight.landed_for_s = 0.0
+        self.text(text)
+        self.params.put("COM_FLIGHT_UUID", self.params["COM_FLIGHT_UUID"] + 1)
+        self.vehicle.broadcast_parameter("COM_FLIGHT_UUID")
+        self.intended = self.mode_after_disarm
+        self.go(self.intended)
+
+    # -- arming -------------------------------------------------------------------------------------------------------
+
+    def arming_faults(self) -> list[str]:
+        """Reasons not to arm."""
+        faults = []
+        if not self.vehicle.ready or not self.vehicle.estimator.healthy or not self.vehicle.gps_ok:
+            faults.append("Resolve system health failures first")
+        if self.mode == OFFBOARD and not self.stream_fresh:
+            faults.append("Resolve system health failures first")
+        return faults + self.vehicle.faults.arming_faults()
+
+    # -- failsafes ----------------------------------------------------------------------------------------------------
+
+    def force_mode(self, kind: str) -> None:
+        """Changes the mode without a command."""
+        self.intend({"hold": HOLD, "return": RTL, "land": LAND, "pilot": POSCTL}[kind])
+
+    # -- set-points ---------------------------------------------------------------------------------------------------
+
+    def _for_setpoint(self, message: Message) -> bool:
+        return message.target_system in (0, self.vehicle.config.system_id) and message.target_component in (0, 1)
+
+    def on_setpoint_local(self, link: int, message: Message) -> None:
+        """84: frames 1 and 8."""
+        if self._for_setpoint(message):
+            try:
+                self._take(link, message, setpoints.local(message, self.yaw_rad))
+            except setpoints.RefusedError as refusal:
+                self.text(str(refusal), CRITICAL)
+
+    def on_setpoint_global(self, link: int, message: Message) -> None:
+        """86: frames 5, 6 and 11."""
+        if self._for_setpoint(message):
+            home_alt = self.home[2] if self.home is not None else self.vehicle.body.ground_m
+            try:
+                self._take(link, message, setpoints.global_int(message, self.vehicle.estimator, home_alt))
+            except setpoints.RefusedError as refusal:
+                self.text(str(refusal), CRITICAL)
+
+    def _take(self, link: int, message: Message, target: setpoints.Target | None) -> None:
+        if target is None:
+            return
+        self.stream_s = self.vehicle.time_s
+        self.target = target
+        if self.mode == OFFBOARD:
+            self.accepted(link, message.get_srcSystem(), message.get_type(), target.describe())
+
+    # -- commands -----------------------------------------------------------------------------------------------------
+
+    def set_mode(self, link: int, message: Message) -> None:
+        """The old SET_MODE."""
+        mode = (message.custom_mode >> 16 & 255, message.custom_mode >> 24 & 255)
+        if message.target_system == self.vehicle.config.system_id and mode in MODE_NAMES:
+            self.intend(mode)
+
+    def on_setup_signing(self, link: int, message: Message) -> None:
+        """PX4 1.17 does not sign: SETUP_SIGNING is ignored."""

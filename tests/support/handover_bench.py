@@ -1,0 +1,86 @@
+"""A bench on which one handover is driven by hand."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from gcs.flight import EventKind, FlightState
+from link.dialect import mavlink
+from link.director.core import FlightCore
+from link.handover.handover import borders
+from link.session.request import FlightRequest
+from link.wire.codec import StationCodec
+from tests.support.flight_plans import relay_plan
+
+TICK_S = 0.05
+
+STATIONS = ("s1", "s2", "s3")
+
+
+@cache
+def request(**changes: Any) -> FlightRequest:
+    plan = relay_plan()
+    links = {s: f"udpout:127.0.0.1:{20000 + k}" for k, s in enumerate(plan.station_ids)}
+    return FlightRequest(plan=plan.to_document(), autopilot="px4", links=links, **changes)
+
+
+class Bench:
+    """The relay of a flight core in cruise, and a vehicle reduced to what a handover needs of it.
+
+    ``up`` says which links work, ``obeys`` whom the vehicle answers; time moves by `tick`.
+    """
+
+    def __init__(self, **changes: Any) -> None:
+        self.core = FlightCore(request(**changes))
+        self.c = self.core.context
+        self.relay = self.core.airborne.relay
+        for state in ("identifying", "preflight", "ready", "arming", "takeoff", "transit", "cruise"):
+            self.c.become(FlightState(state))
+        self.c.grant("s1", "first")
+        self.up = dict.fromkeys(STATIONS, True)
+        self.obeys = set(STATIONS)
+        self.decoder = StationCodec(99)
+        self.senders: list[str] = []
+        """Station of every setpoint of the last tick."""
+        self.plan_s = 0.0
+        self.hear()
+
+    def hear(self) -> None:
+        """The working links bring telemetry and answered probes."""
+        for station, works in self.up.items():
+            if works:
+                link = self.c.monitor.links[station]
+                link.active.heard_s = link.active.proven_s = self.c.now_s
+
+    def tick(self, to_s: float | None = None, *, backwards: bool = False) -> None:
+        self.c.now_s += TICK_S
+        self.hear()
+        if to_s is not None:
+            self.plan_s = to_s
+        self.relay.step(self.plan_s, backwards=backwards)
+        self.c.send_setpoint(self.core.airborne.stream.at(self.plan_s))
+        self.c.commander.step(self.c.now_s)
+        self.deliver()
+
+    def deliver(self) -> None:
+        self.senders = []
+        for station, frame in self.c.gate.take_outgoing():
+            for message in self.decoder.decode(frame):
+                if message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT":
+                    self.senders.append(station)
+                elif message.get_type() == "COMMAND_LONG" and self.up[station] and station in self.obeys:
+                    ack = mavlink.MAVLink_command_ack_message(
+                        message.command, 0, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+                    )
+                    self.c.commander.on_ack(self.c.now_s, ack)
+
+    def said(self, **data: Any) -> list[Any]:
+        return [
+            e
+            for e in self.c.events
+            if e.kind is EventKind.HANDOVER and all(e.data.get(k) == v for k, v in data.items())
+        ]
+
+
+FIRST, SECOND = borders(relay_plan())
