@@ -6,8 +6,9 @@ Plain numpy in and out, metres and seconds in a local plane; no I/O and no clock
 from planner.certificate import Certificate, certify
 from planner.corridor.corridor import Corridor, Piece, build_corridor
 from planner.errors import Infeasibility, InfeasibleError, PlannerError, ProblemError, SolverError
-from planner.planner import Planner
+from planner.planner import Method, Planner
 from planner.problem import Limits, Problem
+from planner.routing.lower_bound import LowerBound, lower_bound
 from planner.solution import Solution
 from planner.trajectory import Trajectory
 
@@ -17,6 +18,8 @@ __all__ = [
     "Infeasibility",
     "InfeasibleError",
     "Limits",
+    "LowerBound",
+    "Method",
     "Piece",
     "Planner",
     "PlannerError",
@@ -27,4 +30,5 @@ __all__ = [
     "Trajectory",
     "build_corridor",
     "certify",
+    "lower_bound",
 ]

@@ -10,8 +10,8 @@ from api.cli.errors import BadInputError, InfeasibleError, faults_as_paragraphs,
 
 if TYPE_CHECKING:
     from gcs.errors import MissionError, MissionInfeasible
-    from gcs.mission.model import Mission
-    from gcs.plan.model import Plan
+    from gcs.mission import Mission
+    from gcs.plan import Plan
     from gcs.settings import Settings
 
 _HERE = {"-": "standard input"}
@@ -36,7 +36,7 @@ def read_json(name: str, *, what: str) -> Any:
 def mission(document: Any, name: str) -> Mission:
     """A mission from its document; ``name`` is where it came from. Raises `BadInputError` with every fault."""
     from gcs.errors import MissionError
-    from gcs.mission.model import Mission
+    from gcs.mission import Mission
 
     try:
         return Mission.from_document(document)
@@ -59,7 +59,7 @@ def paragraphs(error: MissionError) -> list[dict[str, Any]]:
 def plan(name: str) -> Plan:
     """The plan in file ``name`` (``-``: standard input). Raises `BadInputError`."""
     from gcs.errors import PlanError
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
     document = read_json(name, what="plan")
     try:
@@ -101,7 +101,7 @@ def place(where: dict[str, float] | None) -> str | None:
 def option_values(pairs: list[str]) -> dict[str, object]:
     """``NAME=VALUE`` options as a mapping of JSON values. Raises `BadInputError` for what is not one."""
     from gcs.errors import MissionError
-    from gcs.mission.document import parse_option
+    from gcs.mission import parse_option
 
     values: dict[str, object] = {}
     for pair in pairs:
@@ -123,7 +123,7 @@ def option_values(pairs: list[str]) -> dict[str, object]:
 def utc_time(text: str | None, *, where: str = "--launch") -> datetime | None:
     """An RFC 3339 time with its offset, as UTC; None stays None. Raises `BadInputError`."""
     from gcs.errors import ExportError
-    from gcs.exports.handovers import parse_launch
+    from gcs.exports import parse_launch
 
     if text is None:
         return None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from api.processes.children import Child, ChildError, Children, python_module
 
 if TYPE_CHECKING:
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
 _READY_S = 30.0
 # The flight begins so far above the ground the simulated vehicle stands on, m; higher where the plan goes down further,

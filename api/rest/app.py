@@ -13,7 +13,7 @@ from api.rest.openapi import describe
 from api.rest.routes import flights, health, missions, page, plans, registries
 from api.service.metrics import Metrics
 from api.service.services import Services
-from gcs.planning.plan_mission import product_version
+from gcs.planning import product_version
 from gcs.settings import Settings
 
 

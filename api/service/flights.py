@@ -21,15 +21,14 @@ import structlog
 from api.service.changes import Changes
 from api.service.flight_status import FlightFold
 from gcs.errors import ConflictError, NotFoundError, StoreError
-from gcs.exports.handovers import write_atomic
+from gcs.exports import write_atomic
 from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from gcs.settings import Settings
-from gcs.store.flights import FlightRecord
-from gcs.store.store import Store
+from gcs.store import FlightRecord, Store
 from link.errors import LinkError, SupervisorError
-from link.session.request import FlightRequest
-from link.streamer.supervisor import RunningFlight, attach, start_flight
+from link.session import FlightRequest
+from link.streamer import RunningFlight, attach, start_flight
 
 log = structlog.get_logger("api.flights")
 

@@ -17,10 +17,10 @@ from api.rest.problems import ConflictError
 from api.service.flights import FlightDesk
 from gcs.errors import MissionInfeasible, PlanningCancelled, PlanningFailed
 from gcs.flight import FlightState
-from gcs.jobs.planning_pool import PlanningPool
-from gcs.plan.model import Plan
-from gcs.planning.replan import ReplanOrder
-from link.director.plan_exchange import judge_next
+from gcs.jobs import PlanningPool
+from gcs.plan import Plan
+from gcs.planning import ReplanOrder
+from link.director import judge_next
 
 _LIMIT_S = 20.0
 # A join that falls into a handover is tried again so much later.

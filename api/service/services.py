@@ -15,11 +15,10 @@ from api.service.flights import FlightDesk
 from api.service.metrics import Metrics
 from api.service.replanning import Replanning
 from gcs.errors import StoreUnavailable
-from gcs.jobs.planning_pool import PlanningPool
-from gcs.plan.model import Plan
+from gcs.jobs import PlanningPool
+from gcs.plan import Plan
 from gcs.settings import Settings
-from gcs.store.missions import MissionRecord
-from gcs.store.store import Store
+from gcs.store import MissionRecord, Store
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")

@@ -12,8 +12,7 @@ from gcs.geodesy.plane import Plane
 from gcs.geodesy.range_bounds import bound_speed_factor, height_factor, planning_elevation_deg
 from gcs.layout.mission_geometry import Ground, choose_plane
 from gcs.mission.model import Mission
-from planner.errors import ProblemError
-from planner.problem import Limits, Problem
+from planner import Limits, Problem, ProblemError
 
 Array = NDArray[np.float64]
 

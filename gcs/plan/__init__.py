@@ -1,1 +1,6 @@
 """The plan: curve, handover schedule, contingencies, its document."""
+
+from gcs.plan.failsafe_return import OwnReturn, Place, ReturnRules, own_returns
+from gcs.plan.model import Plan
+
+__all__ = ["OwnReturn", "Place", "Plan", "ReturnRules", "own_returns"]

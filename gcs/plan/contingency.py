@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gcs.layout.mission_geometry import Ground
 from gcs.layout.straight_coverage import Cover
 from gcs.plan.failsafe_return import MOST_CELLS, OwnReturn, ReturnRules, cells, cruise_speed_m_s, own_returns
-from planner.trajectory import Trajectory
+from planner import Trajectory
 
 Array = NDArray[np.float64]
 

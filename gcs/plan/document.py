@@ -14,9 +14,7 @@ from gcs.mission.model import Mission
 from gcs.plan.contingency import Contingency
 from gcs.plan.handover_schedule import Handover
 from gcs.plan.model import PROJECTION, OptionCost, Plan, hash_of
-from planner.certificate import Certificate
-from planner.errors import ProblemError
-from planner.trajectory import Trajectory
+from planner import Certificate, ProblemError, Trajectory
 
 MAX_SEGMENTS = 100_000
 # Whether a mission is too large was asked when it was planned.

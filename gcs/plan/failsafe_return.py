@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gcs.layout.mission_geometry import Ground
 from gcs.layout.straight_coverage import Cover
 from gcs.mission.model import MissionLimits
-from planner.trajectory import Trajectory
+from planner import Trajectory
 
 Array = NDArray[np.float64]
 Place = tuple[float, float, float]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.optimize import elementwise
 
 from gcs.layout.mission_geometry import Ground
-from planner.coverage.window import Stations, coverage_windows
-from planner.trajectory import Trajectory
+from planner import Trajectory
+from planner.coverage import Stations, coverage_windows
 
 Array = NDArray[np.float64]
 

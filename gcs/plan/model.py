@@ -19,8 +19,7 @@ from gcs.layout.mission_geometry import Ground
 from gcs.mission.model import Mission, Station
 from gcs.plan.contingency import Contingency
 from gcs.plan.handover_schedule import Handover
-from planner.certificate import Certificate
-from planner.trajectory import Trajectory
+from planner import Certificate, Trajectory
 
 UNHASHED = ("plan_sha256", "solve_time_s", "created_utc")
 # In a plan's costs: all its options at once.

@@ -9,10 +9,8 @@ import numpy as np
 from gcs.errors import PlanningFailed
 from gcs.layout.planning_problem import LaidOut, lay_out
 from gcs.plan.model import Plan
-from planner.certificate import Certificate, certify
-from planner.routing.lower_bound import lower_bound
-from planner.solution import Solution
-from planner.trajectory import Trajectory
+from planner import Certificate, Solution, Trajectory, certify
+from planner.routing import lower_bound
 
 
 def certify_true(laid: LaidOut, trajectory: Trajectory) -> Certificate:

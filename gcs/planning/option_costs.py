@@ -14,7 +14,7 @@ from gcs.mission.model import Mission, MissionLimits, MissionOptions
 from gcs.plan.model import TOGETHER, OptionCost, Plan
 from gcs.planning.plan_mission import plan_mission
 from gcs.planning.solve import PlannerLike
-from planner.planner import Method
+from planner import Method
 
 Step = Callable[[int, int], None]
 

@@ -23,9 +23,7 @@ from gcs.plan.model import Plan
 from gcs.planning.certification import _lower_bound_s, certify_true
 from gcs.planning.solve import PlannerLike, laid_out, solve
 from gcs.timestamps import utc_text
-from planner import Planner
-from planner.planner import Method
-from planner.trajectory import Trajectory
+from planner import Method, Planner, Trajectory
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -29,9 +29,7 @@ from gcs.plan.model import Plan
 from gcs.planning.certification import recertify
 from gcs.planning.plan_mission import Progress, plan_mission
 from gcs.planning.solve import PlannerLike
-from planner import bezier
-from planner.planner import Method
-from planner.trajectory import Trajectory
+from planner import Method, Trajectory, bezier
 
 Array = NDArray[np.float64]
 

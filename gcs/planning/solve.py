@@ -16,16 +16,11 @@ from gcs.mission.model import Mission
 from gcs.remedies.actions import Fix, apply_fix, chains
 from gcs.remedies.search import Search, lower_margin
 from gcs.remedies.wording import explain, words
-from planner.errors import InfeasibleError, SolverError
-from planner.infeasibility.explanation import diagnose_ranges
-from planner.infeasibility.explanation import explain as explain_problem
-from planner.joint.sequence_planner import Effort, plan_joint
-from planner.planner import Method
-from planner.problem import Problem
-from planner.routing.lower_bound import lower_bound
-from planner.routing.station_sequence import candidate_routes
-from planner.solution import Solution
-from planner.trajectory import Trajectory
+from planner import InfeasibleError, Method, Problem, Solution, SolverError, Trajectory
+from planner.infeasibility import diagnose_ranges
+from planner.infeasibility import explain as explain_problem
+from planner.joint import Effort, plan_joint
+from planner.routing import candidate_routes, lower_bound
 
 # Plans tried where a flight that starts moving is to arrive later than it could, and how near is near enough.
 SLOWER_TRIES = 5

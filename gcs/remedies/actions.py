@@ -16,7 +16,7 @@ import numpy as np
 from gcs.errors import MissionInfeasible
 from gcs.layout.planning_problem import lay_out
 from gcs.mission.model import GeoPosition, LocalPosition, Mission, Position, StartState, Station
-from planner.infeasibility.diagnosis import diagnose
+from planner.infeasibility import diagnose
 
 Fix = dict[str, object]
 ADDED_STATION = "added"

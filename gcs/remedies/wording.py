@@ -19,7 +19,7 @@ from gcs.geodesy.range_bounds import planning_elevation_deg, range_needed_m
 from gcs.layout.mission_geometry import Ground
 from gcs.mission.model import Mission
 from gcs.remedies.actions import Fix, apply_fix, chains, cost_order, number
-from planner.errors import Infeasibility
+from planner import Infeasibility
 
 Array = NDArray[np.float64]
 

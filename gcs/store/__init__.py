@@ -1,1 +1,8 @@
 """What is kept: missions, plans, flights, registries; SQLite by default."""
+
+from gcs.store.flights import FlightRecord
+from gcs.store.missions import Idempotency, MissionRecord
+from gcs.store.registries import Entry
+from gcs.store.store import Store
+
+__all__ = ["Entry", "FlightRecord", "Idempotency", "MissionRecord", "Store"]

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs.flight import EventKind
-from gcs.plan.failsafe_return import Place
-from gcs.plan.model import Plan
+from gcs.plan import Place, Plan
 from link.dialect import mavlink
 from link.errors import MissionItemError
 from link.handover import gcs_ownership

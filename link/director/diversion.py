@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 
 Vector = tuple[float, float, float]
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gcs.flight import EventKind, FlightState
-from gcs.plan.failsafe_return import Place, own_returns
+from gcs.plan import Place, own_returns
 from link.dialect import mavlink
 from link.director.borrowed_settings import Loan
 from link.director.takeoff import TakeOff

@@ -16,7 +16,7 @@ import numpy as np
 
 from gcs.errors import PlanError
 from gcs.flight import TransitionError
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.handover.handover import borders
 from link.preflight.check import Check, Level, worst_first
 from link.preflight.route import judge_stops

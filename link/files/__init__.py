@@ -1,1 +1,6 @@
 """MAVLink's own files and what is read off them: tlogs, setpoint files, reports."""
+
+from link.files.flight_report import report_flight
+from link.files.setpoint_files import FORMATS, Format, setpoint_file
+
+__all__ = ["FORMATS", "Format", "report_flight", "setpoint_file"]

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
 from link.autopilot.registry import PROFILES

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from gcs.flight import EventKind, FlightEvent
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.errors import ReportError
 from link.telemetry.link_path import PROBE_LOST_S
 

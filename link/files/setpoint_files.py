@@ -29,7 +29,7 @@ from link.setpoints.setpoint import SetpointBlock
 from link.wire.codec import StationCodec
 
 if TYPE_CHECKING:
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
 Format = Literal["csv", "jsonl", "tlog"]
 FORMATS: tuple[Format, ...] = ("csv", "jsonl", "tlog")

@@ -30,7 +30,7 @@ import math
 from dataclasses import dataclass
 
 from gcs.flight import EventKind, HandoverEvent, HandoverState, handover_step
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.dialect import mavlink
 from link.microservices.command import Ticket
 from link.session.context import FlightContext

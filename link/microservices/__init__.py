@@ -1,1 +1,5 @@
 """MAVLink's microservices: command, parameter, mission."""
+
+from link.microservices.parameter_value import Parameter
+
+__all__ = ["Parameter"]

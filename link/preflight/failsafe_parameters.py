@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.autopilot.profile import AutopilotProfile
 from link.microservices.parameter import Asking
 from link.microservices.parameter_value import Parameter

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from gcs.plan.failsafe_return import OwnReturn, Place, ReturnRules
-from gcs.plan.model import Plan
+from gcs.plan import OwnReturn, Place, Plan, ReturnRules
 from link.autopilot.profile import AutopilotProfile
 from link.preflight.check import Check, Level
 from link.preflight.failsafe_parameters import Values

@@ -18,8 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs.plan.failsafe_return import Place
-from gcs.plan.model import Plan
+from gcs.plan import Place, Plan
 from link.autopilot.profile import AutopilotProfile
 from link.dialect import mavlink
 from link.microservices.mission_item import MissionItem, inclusion_fence

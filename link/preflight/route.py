@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.handover.handover_chain import TAKEOVER_SHARE
 from link.preflight.check import Check, Level
 from link.setpoints.reference import Reference

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
 from link.microservices.parameter import Asking

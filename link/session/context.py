@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from gcs.flight import EventKind, FlightEvent, FlightState, advance
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
 from link.clock import UtcScale

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from gcs.errors import Fault, PlanError
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.autopilot.registry import PROFILES
 from link.errors import EndpointUrlError, FlightRequestError
 from link.transport.url import parse_url

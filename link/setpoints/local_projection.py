@@ -11,8 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs.geodesy.ellipsoid import WGS84_A_M, WGS84_E2
-from gcs.geodesy.plane import Plane
+from gcs.geodesy import WGS84_A_M, WGS84_E2, Plane
 
 Array = NDArray[np.float64]
 

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gcs.geodesy.ellipsoid import WGS84_A_M, WGS84_E2
+from gcs.geodesy import WGS84_A_M, WGS84_E2
 from planner import bezier
 
 if TYPE_CHECKING:
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 from link.setpoints.setpoint import Array, Setpoint, SetpointBlock
 
 RATE_LIMITS_HZ = (0.1, 200.0)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gcs.plan.model import Plan
+from gcs.plan import Plan
 from link.setpoints.local_projection import LocalMap
 from link.setpoints.reference import Array, Vector
 from link.setpoints.setpoint import Setpoint

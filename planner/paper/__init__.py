@@ -23,3 +23,8 @@ All of it works on a `planner.Corridor`, of which the paper's one ball a piece i
 add pieces in two balls and least durations. Errata met: Proposition 1 must read "<=", (30b) and (30c) bind W_i to
 the ranges of stations i and i + 1, and Algorithm 1 goes on while there is time *and* gain.
 """
+
+from planner.paper.alternating import Iteration, plan_paper
+from planner.paper.station_graph import shortest_sequence
+
+__all__ = ["Iteration", "plan_paper", "shortest_sequence"]

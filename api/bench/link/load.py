@@ -19,8 +19,8 @@ from api.processes.quick_mission import QUICK_MISSION
 
 def plan_for_ever() -> None:
     """Plan the same small mission again and again."""
-    from gcs.mission.model import Mission
-    from gcs.planning.plan_mission import plan_mission
+    from gcs.mission import Mission
+    from gcs.planning import plan_mission
 
     while True:
         plan_mission(Mission.from_document(QUICK_MISSION))

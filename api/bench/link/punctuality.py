@@ -25,17 +25,15 @@ import numpy as np
 from api.bench.link.wiretap import Heard, Wiretap, lateness_ms, missed
 from api.processes import simulator
 from api.processes.children import Child, ChildError, Children, python_module
-from gcs.mission.model import Mission
-from gcs.planning.plan_mission import plan_mission
-from link.session.request import FlightRequest
-from link.streamer.supervisor import RunningFlight, start_flight
-from link.wire.codec import StationCodec
-from link.wire.signing import Signing, SigningKey
-from link.wire.signing_timestamps import SigningStore
+from gcs.mission import Mission
+from gcs.planning import plan_mission
+from link.session import FlightRequest
+from link.streamer import RunningFlight, start_flight
+from link.wire import Signing, SigningKey, SigningStore, StationCodec
 
 if TYPE_CHECKING:
     from gcs.flight import FlightEvent
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
 AUTOPILOT = "px4"
 _SPACING_M, _SPEED_M_S, _MOST_STATIONS = 420.0, 15.0, 30

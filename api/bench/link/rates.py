@@ -12,16 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from link.autopilot.local_frame import EkfOrigin
-from link.autopilot.registry import PROFILES
+from link.autopilot import PROFILES, EkfOrigin
 from link.dialect import mavlink
-from link.setpoints.sampler import SetpointStream
-from link.wire.codec import StationCodec
-from link.wire.signing import Signing, SigningKey
-from link.wire.signing_timestamps import SigningStore
+from link.setpoints import SetpointStream
+from link.wire import Signing, SigningKey, SigningStore, StationCodec
 
 if TYPE_CHECKING:
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
 _BATCH_S = 5e-4
 

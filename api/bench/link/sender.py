@@ -18,7 +18,7 @@ FRAME_BYTES = 78
 def main(arguments: list[str]) -> int:
     """Send until the time is up."""
     from link.clock import TickGrid
-    from link.streamer.scheduling import raise_priority
+    from link.streamer import raise_priority
 
     host, port, rate_hz, seconds = arguments[0], int(arguments[1]), float(arguments[2]), float(arguments[3])
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from link.dialect import mavlink
-from link.wire.codec import StationCodec
+from link.wire import StationCodec
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.coverage.disc import disc_radius_m
-from planner.problem import Problem
-from planner.trajectory import Trajectory
+from planner import Problem, Trajectory
+from planner.coverage import disc_radius_m
 
 # Distinct for readers who see colours differently too: dark and light alternate, this planner is the strongest.
 COLOURS = {

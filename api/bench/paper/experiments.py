@@ -25,14 +25,12 @@ import numpy as np
 from api.bench.paper.results import Results, fingerprint
 from api.bench.planner.cases import PAPER_OPTIONS, Case
 from api.bench.planner.compare import mean_and_worst
-from gcs.layout.planning_problem import lay_out
-from gcs.mission.model import Mission
-from gcs.planning.plan_mission import plan_mission, product_version
-from planner.errors import SolverError
-from planner.experiments.enumeration import Evaluation, enumerate_plans
-from planner.paper.alternating import Iteration, plan_paper
-from planner.problem import Problem
-from planner.trajectory import Trajectory
+from gcs.layout import lay_out
+from gcs.mission import Mission
+from gcs.planning import plan_mission, product_version
+from planner import Problem, SolverError, Trajectory
+from planner.experiments import Evaluation, enumerate_plans
+from planner.paper import Iteration, plan_paper
 
 # The order of the paper's Table 4.
 RIVALS = ("COBYLA", "BOBYQA", "NEWUOA-BOUND", "PRAXIS", "NELDERMEAD", "SBPLX", "BGD")
@@ -223,7 +221,7 @@ def _enumeration(problem: Problem, time_limit_s: float) -> dict[str, Any]:
 
 
 def _allocation(problem: Problem, method: str, time_limit_s: float) -> dict[str, Any]:
-    from planner.experiments.rivals import plan_by_rival
+    from planner.experiments import plan_by_rival
 
     record: list[Iteration] = []
     started = time.process_time()

@@ -17,10 +17,10 @@ import numpy as np
 from api.bench.paper import drawing
 from api.bench.paper.experiments import ALLOCATIONS, DELTA_T_S, curve_of, mission_times
 from api.bench.planner.cases import PAPER_OPTIONS, Case
-from gcs.layout.planning_problem import lay_out
-from gcs.mission.model import Mission
-from planner.paper.alternating import Iteration, plan_paper
-from planner.problem import Problem
+from gcs.layout import lay_out
+from gcs.mission import Mission
+from planner import Problem
+from planner.paper import Iteration, plan_paper
 
 # Radii in the radar graphs: per cent over the bound.
 _RADAR_RINGS = (1, 10, 100, 1000)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible
-from gcs.layout.planning_problem import lay_out
-from gcs.mission.model import Mission, MissionOptions
-from planner.problem import Limits, Problem
+from gcs.layout import lay_out
+from gcs.mission import Mission, MissionOptions
+from planner import Limits, Problem
 
 Array = NDArray[np.float64]
 
@@ -101,8 +101,8 @@ def _chained(at: Any, ranges: Any, first: int, last: int) -> bool:
 
 
 def _has_a_way(document: dict[str, Any]) -> bool:
-    from planner.errors import InfeasibleError
-    from planner.paper.station_graph import shortest_sequence
+    from planner import InfeasibleError
+    from planner.paper import shortest_sequence
 
     try:
         shortest_sequence(lay_out(Mission.from_document(document)).problem)
@@ -148,7 +148,7 @@ def crowd(stations: int, seed: int) -> Problem:
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    from planner.coverage.overlap import adjacent_pairs
+    from planner.coverage import adjacent_pairs
 
     rng = np.random.default_rng([seed, stations])
     largest, side = SIZES[-1]

@@ -20,13 +20,10 @@ import numpy as np
 
 from api.bench.planner.cases import DEFAULT_OPTIONS, PAPER_OPTIONS, Case, chain, crowd, drawn, fixed
 from gcs.errors import MissionInfeasible, PlanningFailed
-from gcs.layout.planning_problem import lay_out
-from gcs.mission.model import Mission
-from gcs.planning.plan_mission import default_planner, plan_mission
-from planner.errors import PlannerError
-from planner.planner import Method
-from planner.problem import Problem
-from planner.solution import Solution
+from gcs.layout import lay_out
+from gcs.mission import Mission
+from gcs.planning import default_planner, plan_mission
+from planner import Method, PlannerError, Problem, Solution
 
 __all__ = [
     "DEFAULT_OPTIONS",
@@ -148,7 +145,7 @@ def _run(mission: Mission, method: Method) -> tuple[Run, float]:
 
 
 def _paper(mission: Mission) -> Run | None:
-    from planner.experiments.cvxpy_reference import plan_paper_cvxpy
+    from planner.experiments import plan_paper_cvxpy
 
     problem = lay_out(mission).problem
     try:

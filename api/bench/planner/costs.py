@@ -12,9 +12,9 @@ import numpy as np
 from api.bench.planner.cases import DEFAULT_OPTIONS, PAPER_OPTIONS, Case
 from api.bench.planner.compare import mean_and_worst, timed
 from gcs.errors import MissionError, MissionInfeasible
-from gcs.mission.model import Mission
-from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.mission import Mission
+from gcs.plan import Plan
+from gcs.planning import plan_mission
 
 
 @dataclass(frozen=True)

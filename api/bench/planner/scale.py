@@ -8,15 +8,12 @@ import numpy as np
 
 from api.bench.planner.cases import PAPER_OPTIONS, chain, crowd
 from api.bench.planner.compare import measure, row_of, timed
-from gcs.layout.planning_problem import lay_out
-from gcs.mission.model import Mission
-from planner.corridor.corridor import build_corridor
-from planner.corridor.shortest_polyline import polyline_length_m, shortest_polyline
-from planner.paper.alternating import plan_paper
-from planner.paper.station_graph import shortest_sequence
-from planner.problem import Problem
-from planner.routing.lower_bound import lower_bound
-from planner.routing.station_sequence import candidate_routes
+from gcs.layout import lay_out
+from gcs.mission import Mission
+from planner import Problem
+from planner.corridor import build_corridor, polyline_length_m, shortest_polyline
+from planner.paper import plan_paper, shortest_sequence
+from planner.routing import candidate_routes, lower_bound
 
 # What the issue of scale is usually asked with.
 SEGMENTS = (100, 175)

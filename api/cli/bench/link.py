@@ -65,8 +65,8 @@ def bench_link(
 
 def _rates() -> list[Rate]:
     from api.bench.link.rates import wire_rates
-    from gcs.mission.model import Mission
-    from gcs.planning.plan_mission import plan_mission
+    from gcs.mission import Mission
+    from gcs.planning import plan_mission
 
     return wire_rates(plan_mission(Mission.from_document(QUICK_MISSION), fast=True))
 

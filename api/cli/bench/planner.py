@@ -319,7 +319,7 @@ def _documents(directory: str | None) -> list[tuple[str, Any]]:
 def _guarded(work: Callable[[], Any], mission: str = "") -> Any:
     """``work()``, what it raises turned into the command line's blocks."""
     from gcs.errors import GcsError, MissionError, MissionInfeasible
-    from planner.errors import InfeasibleError, PlannerError
+    from planner import InfeasibleError, PlannerError
 
     name = f"the mission {mission}" if mission else "a mission"
     try:

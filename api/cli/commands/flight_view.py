@@ -8,8 +8,8 @@ from api.cli.console import Progress
 
 if TYPE_CHECKING:
     from gcs.flight import FlightEvent
-    from gcs.plan.model import Plan
-    from link.streamer.supervisor import FlightResult
+    from gcs.plan import Plan
+    from link.streamer import FlightResult
 
 _WORTH_TELLING = {"released", "late", "failed", "timed_out", "refused"}
 # Elsewhere the distance from the plan means nothing.

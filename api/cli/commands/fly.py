@@ -21,9 +21,9 @@ from api.cli.errors import BadInputError, ContingencyError, FaultError, Terminat
 if TYPE_CHECKING:
     from api.cli.commands.flight_view import FlightView
     from gcs.flight import FlightEvent
-    from gcs.plan.model import Plan
-    from link.session.request import FlightRequest
-    from link.streamer.supervisor import FlightResult, RunningFlight
+    from gcs.plan import Plan
+    from link.session import FlightRequest
+    from link.streamer import FlightResult, RunningFlight
 
 _LOOK_S = 0.2
 
@@ -110,7 +110,7 @@ def links_of(plan: Plan, given: list[str]) -> dict[str, list[str]]:
     Bare ones are for the plan's stations without any of their own. Raises `BadInputError`.
     """
     from link.errors import EndpointUrlError
-    from link.transport.url import parse_url
+    from link.transport import parse_url
 
     known = {station.id for station in plan.mission.stations}
     own: dict[str, list[str]] = {}
@@ -143,7 +143,7 @@ def links_of(plan: Plan, given: list[str]) -> dict[str, list[str]]:
 def request_of(plan: Plan, **fields: Any) -> FlightRequest:
     """The flight asked for. Raises `BadInputError` with every reason it must not start."""
     from link.errors import FlightRequestError
-    from link.session.request import FlightRequest
+    from link.session import FlightRequest
 
     try:
         return FlightRequest(plan=plan.to_document(), **fields)
@@ -165,7 +165,7 @@ def run(
     """
     from api.cli.commands.flight_view import FlightView
     from link.errors import FlightRequestError, SupervisorError
-    from link.streamer.supervisor import start_flight
+    from link.streamer import start_flight
 
     view = FlightView(plan, progress)
 

@@ -30,7 +30,7 @@ def handovers(
     Whole, or one station's part of it.
     """
     from gcs.errors import ExportError
-    from gcs.exports.handovers import FORMATS, export_handovers
+    from gcs.exports import FORMATS, export_handovers
 
     if file_format not in FORMATS:
         raise BadInputError(

@@ -11,7 +11,7 @@ from api.cli import files, inputs
 from api.cli.errors import BadInputError, FaultError
 
 if TYPE_CHECKING:
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
 
 def register(app: typer.Typer, panel: str) -> None:
@@ -46,7 +46,7 @@ def plan(
     Ends with 2 when the mission is malformed, with 3 when no flight can fulfil it (and says the smallest fix).
     """
     from gcs.errors import MissionInfeasible, PlanningFailed
-    from gcs.planning.plan_mission import plan_mission
+    from gcs.planning import plan_mission
 
     document = inputs.read_json(mission_file, what="mission")
     overrides = inputs.option_values(option or [])
@@ -59,7 +59,7 @@ def plan(
     try:
         result = plan_mission(mission, fast=fast)
         if costs:
-            from gcs.planning.option_costs import with_costs
+            from gcs.planning import with_costs
 
             result = with_costs(result, method="fast" if fast else "joint")
     except MissionInfeasible as error:
@@ -82,8 +82,7 @@ def plan(
 
 def overview(plan: Plan) -> str:
     """What a person wants to know of a plan: the summary and the handover table."""
-    from gcs.exports.handovers import export_handovers
-    from gcs.exports.summary import summary
+    from gcs.exports import export_handovers, summary
 
     # The table's own headline repeats the summary's.
     table = export_handovers(plan, "table").split("\n\n", 1)[-1]

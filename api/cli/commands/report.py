@@ -34,7 +34,7 @@ def report(
     Everything is measured from the frames in the log, unless the flight's events are given too.
     """
     from link.errors import LinkError
-    from link.files.flight_report import report_flight
+    from link.files import report_flight
 
     plan = inputs.plan(plan_file)
     try:

@@ -74,7 +74,7 @@ def serve(
 def _check_store(settings: Settings) -> None:
     """Open the store once before the service does, so that what is wrong with it is said in one block."""
     from gcs.errors import StoreUnavailable
-    from gcs.store.store import Store
+    from gcs.store import Store
 
     fix = "name another place with --data, or restore a safety copy"
     try:

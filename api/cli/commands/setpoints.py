@@ -40,7 +40,7 @@ def setpoints(
     plan's own plane (north, east, down); a tlog holds what would go on the wire, each setpoint from the
     system id of the station in control.
     """
-    from link.files.setpoint_files import setpoint_file
+    from link.files import setpoint_file
 
     at = inputs.utc_time(launch)
     plan = inputs.plan(plan_file)

@@ -20,8 +20,8 @@ from api.processes.children import Children
 
 if TYPE_CHECKING:
     from api.cli.commands.flight_view import FlightView
-    from gcs.plan.model import Plan
-    from link.streamer.supervisor import FlightResult
+    from gcs.plan import Plan
+    from link.streamer import FlightResult
 from api.cli.demo.story import ATTEMPTS, AUTOPILOT, FLIGHT_WALL_S, QUICK_WALL_S, Pace, closing, say, too_fast
 from api.processes.quick_mission import QUICK_MISSION
 
@@ -76,7 +76,7 @@ def _document(mission_file: str | None, quick: bool) -> Any:
 
 def _by_itself(document: Any, name: str, wall_s: float) -> None:
     from gcs.errors import MissionInfeasible, PlanningFailed
-    from gcs.planning.plan_mission import plan_mission
+    from gcs.planning import plan_mission
 
     mission = inputs.mission(document, name)
     say(f"1. Planning: {mission.name}, {len(mission.stations)} stations to choose from")
@@ -119,7 +119,7 @@ def _attempt(plan: Plan, children: Children, pace: Pace, log: str) -> tuple[Flig
 
 def _planned_against_flown(plan: Plan, log: Path) -> None:
     from link.errors import LinkError
-    from link.files.flight_report import report_flight
+    from link.files import report_flight
 
     try:
         report = report_flight(log, plan)

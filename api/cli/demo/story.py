@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
 
 AUTOPILOT = "ardupilot"

@@ -22,7 +22,7 @@ from api.processes import simulator
 from api.processes.children import Children, python_module
 
 if TYPE_CHECKING:
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
 PORT = 8000
 VEHICLE = "demo"
@@ -118,7 +118,7 @@ def _plan(service: Service, document: Any) -> dict[str, Any]:
 
 
 def _fetch(service: Service, mission_id: str) -> Plan:
-    from gcs.plan.model import Plan
+    from gcs.plan import Plan
 
     return Plan.from_document(service.call("GET", f"v1/missions/{mission_id}/plan"))
 
@@ -178,7 +178,7 @@ def _fly(service: Service, children: Children, plan: Plan, mission_id: str, pace
 def _report(plan: Plan, flight: dict[str, Any]) -> str:
     from api.cli.commands.flight_view import result_lines
     from gcs.flight import FlightState
-    from link.streamer.supervisor import FlightResult
+    from link.streamer import FlightResult
 
     summary = flight["result"] or {}
     state = FlightState(flight["phase"])
@@ -193,7 +193,7 @@ def _flights_ended(folder: Path) -> Iterator[None]:
         yield
     finally:
         from link.errors import SupervisorError
-        from link.streamer.supervisor import attach
+        from link.streamer import attach
 
         for run_dir in (folder / "flights").glob("*"):
             with contextlib.suppress(SupervisorError, OSError):

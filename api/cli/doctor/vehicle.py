@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Any
 from api.cli.errors import EXIT_CONTINGENCY, BadInputError
 
 if TYPE_CHECKING:
-    from link.autopilot.profile import AutopilotProfile
-    from link.microservices.parameter_value import Parameter
-    from link.preflight.check import Check
-    from link.preflight.identity import Identity
-    from link.transport.url import LinkUrl
+    from link.autopilot import AutopilotProfile
+    from link.microservices import Parameter
+    from link.preflight import Check, Identity
+    from link.transport import LinkUrl
 
 RATE_HZ = 20.0
 """Setpoints a second the time-outs are judged for, that of `fly` unless told otherwise."""
@@ -36,7 +35,7 @@ def examine(url: str, *, system_id: int, timeout_s: float, as_json: bool) -> int
 
     Raises `BadInputError` for a URL that cannot be used, one nobody answers on, or where MAVSDK is not installed.
     """
-    from link.preflight.check import Level, worst, worst_first
+    from link.preflight import Level, worst, worst_first
 
     address = _address(url)
     with _client(url, address, system_id) as client:
@@ -66,7 +65,7 @@ def examine(url: str, *, system_id: int, timeout_s: float, as_json: bool) -> int
 
 def _address(url: str) -> LinkUrl:
     from link.errors import EndpointUrlError
-    from link.transport.url import parse_url
+    from link.transport import parse_url
 
     try:
         return parse_url(url)
@@ -78,7 +77,7 @@ def _address(url: str) -> LinkUrl:
 def _client(url: str, address: LinkUrl, system_id: int) -> Iterator[Any]:
     """MAVSDK on the link, which no flight of this machine may use meanwhile."""
     from link.errors import EndpointError
-    from link.transport.port_lock import LinkLocks
+    from link.transport import LinkLocks
 
     try:
         import mavsdk
@@ -109,9 +108,8 @@ def _client(url: str, address: LinkUrl, system_id: int) -> Iterator[Any]:
 
 def _judge(system: Any, url: str) -> tuple[AutopilotProfile, dict[str, Any], list[Check]]:
     """What the vehicle is, and the findings about it."""
-    from link.autopilot.registry import PROFILES
-    from link.preflight.failsafe_parameters import judge_failsafes
-    from link.preflight.identity import judge_identity
+    from link.autopilot import PROFILES
+    from link.preflight import judge_failsafes, judge_identity
 
     kind = system.autopilot_type().name.lower()
     if kind not in PROFILES:
@@ -144,7 +142,7 @@ def _identity(system: Any) -> tuple[Identity | None, int | None]:
     from mavsdk.plugins.mavlink_direct import MavlinkDirect
     from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirectError, MavlinkMessage
 
-    from link.preflight.identity import Identity
+    from link.preflight import Identity
 
     heard: dict[str, SimpleNamespace] = {}
     told = threading.Event()
@@ -178,7 +176,7 @@ def _values(system: Any, profile: AutopilotProfile) -> dict[str, Parameter | Non
     from mavsdk.plugins.param import Param
 
     from link.dialect import mavlink
-    from link.microservices.parameter_value import Parameter
+    from link.microservices import Parameter
 
     client = Param(system)
     told: dict[str, Parameter] = {}
@@ -194,7 +192,7 @@ def _values(system: Any, profile: AutopilotProfile) -> dict[str, Parameter | Non
 
 
 def _told(values: dict[str, Parameter | None], url: str) -> Check:
-    from link.preflight.check import Check, Level
+    from link.preflight import Check, Level
 
     count = sum(value is not None for value in values.values())
     fix = "it may hear other stations' ids alone: give --system-id one of those; or the link loses too much"

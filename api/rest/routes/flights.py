@@ -19,7 +19,7 @@ from api.rest.routes.shared import Cursor, Limit, MissionId
 from api.service.flight_status import FlightFold, outer_state
 from api.service.services import Services
 from gcs.flight import Word
-from gcs.store.flights import FlightRecord
+from gcs.store import FlightRecord
 
 router = APIRouter(prefix="/v1/flights", tags=["flights"])
 

@@ -11,7 +11,7 @@ from api.rest.dependencies import Wired
 from api.rest.problems import UnavailableError
 from api.rest.schemas.base import Health
 from gcs.errors import StoreUnavailable
-from gcs.planning.plan_mission import product_version
+from gcs.planning import product_version
 
 router = APIRouter(tags=["service"])
 

@@ -17,10 +17,10 @@ from api.rest.dependencies import Wired
 from api.rest.routes import shared
 from api.rest.routes.shared import Cursor, IdempotencyKey, Limit, MissionId, RawBody, Version
 from api.service.services import Services
-from gcs.exports.handovers import FORMATS as HANDOVER_FORMATS
-from gcs.mission.document import parse_mission_json
-from gcs.store.missions import MissionRecord
-from link.files.setpoint_files import FORMATS as SETPOINT_FORMATS
+from gcs.exports import FORMATS as HANDOVER_FORMATS
+from gcs.mission import parse_mission_json
+from gcs.store import MissionRecord
+from link.files import FORMATS as SETPOINT_FORMATS
 
 router = APIRouter(prefix="/v1/missions", tags=["missions"])
 

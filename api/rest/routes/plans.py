@@ -14,12 +14,12 @@ from api.rest.problems import ConflictError, UnprocessableError
 from api.rest.routes import missions, shared
 from api.rest.routes.shared import MissionId, Version
 from api.service.services import Services
-from gcs.exports.handovers import FORMATS as HANDOVER_FORMATS
-from gcs.exports.handovers import export_handovers, parse_launch
-from gcs.store.missions import MissionRecord
-from link.files.setpoint_files import FORMATS as SETPOINT_FORMATS
-from link.files.setpoint_files import Format, setpoint_file
-from link.setpoints.sampler import RATE_LIMITS_HZ
+from gcs.exports import FORMATS as HANDOVER_FORMATS
+from gcs.exports import export_handovers, parse_launch
+from gcs.store import MissionRecord
+from link.files import FORMATS as SETPOINT_FORMATS
+from link.files import Format, setpoint_file
+from link.setpoints import RATE_LIMITS_HZ
 
 router = APIRouter(prefix="/v1/missions/{mission_id}", tags=["plans"])
 

@@ -15,9 +15,9 @@ from api.rest.problems import NotFoundError, UnprocessableError
 from api.rest.routes import shared
 from api.rest.routes.shared import Limit
 from api.service.services import Services
-from gcs.store.registries import Entry
+from gcs.store import Entry
 from link.errors import EndpointUrlError
-from link.transport.url import parse_url
+from link.transport import parse_url
 
 router = APIRouter(prefix="/v1", tags=["registries"])
 

@@ -19,7 +19,7 @@ from api.rest.problems import (
 )
 from gcs import errors as gcs_errors
 from gcs.flight import TransitionError
-from gcs.store.missions import Idempotency
+from gcs.store import Idempotency
 from link.errors import FlightRequestError, SupervisorError
 
 MAX_PAGE = 200
