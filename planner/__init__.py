@@ -8,7 +8,7 @@ from planner.corridor.corridor import Corridor, Piece, build_corridor
 from planner.errors import Infeasibility, InfeasibleError, PlannerError, ProblemError, SolverError
 from planner.planner import Method, Planner
 from planner.problem import Limits, Problem
-from planner.routing.lower_bound import LowerBound, lower_bound
+from planner.routing.bound import LowerBound, lower_bound
 from planner.solution import Solution
 from planner.trajectory import Trajectory
 

@@ -23,7 +23,7 @@ from planner.infeasibility.explanation import explain, no_way_from_moving_start,
 from planner.joint.sequence_planner import Attempt, Effort, plan_joint
 from planner.paper.alternating import plan_paper
 from planner.problem import Problem, priced
-from planner.routing.lower_bound import LowerBound, lower_bound
+from planner.routing.bound import LowerBound, lower_bound
 from planner.routing.portal_graph import Route
 from planner.routing.station_sequence import candidate_routes, geodesic_route
 from planner.solution import Solution

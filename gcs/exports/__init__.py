@@ -1,6 +1,6 @@
 """Plans and schedules in other forms."""
 
 from gcs.exports.handovers import FORMATS, export_handovers, parse_launch, write_atomic
-from gcs.exports.summary import summary
+from gcs.exports.plan_summary import summary
 
 __all__ = ["FORMATS", "export_handovers", "parse_launch", "summary", "write_atomic"]

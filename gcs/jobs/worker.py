@@ -79,7 +79,7 @@ def answer(channel: Connection[Any, Any], task: dict[str, Any]) -> None:
     """Plan one task and send what came of it; a task without a number is planned and nothing sent."""
     from gcs.errors import MissionError, MissionInfeasible
     from gcs.mission.model import Mission
-    from gcs.planning.plan_mission import plan_mission
+    from gcs.planning.mission_planning import plan_mission
     from gcs.planning.replan import ReplanOrder
 
     number = task["task"]

@@ -1,7 +1,7 @@
 """From mission to plan, and a flight planned anew under way."""
 
+from gcs.planning.mission_planning import default_planner, plan_mission, product_version
 from gcs.planning.option_costs import with_costs
-from gcs.planning.plan_mission import default_planner, plan_mission, product_version
 from gcs.planning.replan import ReplanOrder
 
 __all__ = ["ReplanOrder", "default_planner", "plan_mission", "product_version", "with_costs"]

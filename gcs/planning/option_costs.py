@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from gcs.errors import MissionInfeasible, PlanningFailed
 from gcs.mission.model import Mission, MissionLimits, MissionOptions
 from gcs.plan.model import TOGETHER, OptionCost, Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from gcs.planning.solve import PlannerLike
 from planner import Method
 

@@ -27,7 +27,7 @@ from gcs.plan.contingency import contingencies
 from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
 from gcs.planning.certification import recertify
-from gcs.planning.plan_mission import Progress, plan_mission
+from gcs.planning.mission_planning import Progress, plan_mission
 from gcs.planning.solve import PlannerLike
 from planner import Method, Trajectory, bezier
 
@@ -129,7 +129,7 @@ def replan(
     ``destination`` and ``excluded_stations`` (ids) replace the mission's. ``elapsed_s`` is how long the flight will
     have lasted at the join, where that is not ``join_s``: endurance counts from T+0. Handovers planned
     before ``present_s``, where the flight is now, but beyond the first ``handovers_done`` have not come about: the
-    station before them is still in control. The rest is as for `gcs.planning.plan_mission.plan_mission`.
+    station before them is still in control. The rest is as for `gcs.planning.mission_planning.plan_mission`.
 
     Raises `MissionInfeasible` and `PlanningFailed` as that does; `MissionInfeasible` with reason ``"join"`` where no
     new curve can be joined on.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planner.corridor.chebyshev import find_refuges
 from planner.corridor.corridor import Corridor, build_corridor
 from planner.corridor.funnel import pull_tight
-from planner.corridor.shortest_polyline import polyline_length_m, shortest_polyline
+from planner.corridor.polyline_program import polyline_length_m, shortest_polyline
 from planner.coverage.chord import Chords, chords, leaves_after, leg_times_s
 from planner.problem import Problem, priced
 from planner.speed_profile import fastest_time_s

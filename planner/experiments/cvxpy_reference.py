@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.corridor.corridor import Corridor, build_corridor
-from planner.corridor.shortest_polyline import settled
+from planner.corridor.polyline_program import settled
 from planner.errors import SolverError
 from planner.paper.alternating import AlternatingMinimisation, Clock, Iteration, certified
 from planner.paper.station_graph import check_sequence, shortest_sequence

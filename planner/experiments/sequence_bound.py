@@ -31,7 +31,7 @@ from planner.coverage.disc import covering_stations
 from planner.coverage.overlap import adjacent_pairs
 from planner.errors import SolverError
 from planner.problem import Problem
-from planner.routing.lower_bound import radii_seen_from_above
+from planner.routing.bound import radii_seen_from_above
 from planner.speed_profile import fastest_time_s
 from planner.trajectory import DEGREE
 

@@ -28,7 +28,7 @@ from planner.coverage.overlap import MIN_LENS_M, adjacent_pairs
 from planner.errors import Infeasibility
 from planner.infeasibility.diagnosis import diagnose
 from planner.problem import Limits, Problem
-from planner.routing.lower_bound import LowerBound
+from planner.routing.bound import LowerBound
 
 # Above this many stations only the first remedy is worked out: the others take some dozens of diagnoses each.
 MAX_STATIONS = 2_000

@@ -17,7 +17,7 @@ from planner.certificate import certify
 from planner.corridor.chebyshev import Refuges, find_refuges
 from planner.corridor.corridor import Corridor, build_corridor
 from planner.corridor.limit_check import CorridorCheck
-from planner.corridor.shortest_polyline import shortest_polyline
+from planner.corridor.polyline_program import shortest_polyline
 from planner.errors import SolverError
 from planner.paper.boundary import as_trajectory, control_points, rest_at
 from planner.paper.control_points import ControlPointProgram

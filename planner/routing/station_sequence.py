@@ -22,7 +22,7 @@ from planner.coverage.overlap import MIN_LENS_M, AdjacentPairs, adjacent_pairs, 
 from planner.errors import InfeasibleError
 from planner.infeasibility.diagnosis import diagnose
 from planner.problem import Problem, priced
-from planner.routing.lower_bound import LowerBound, graph_with_ends, lower_bound
+from planner.routing.bound import LowerBound, graph_with_ends, lower_bound
 from planner.routing.portal_graph import CHORD_FRACTIONS, MAX_LEGS, PortalGraph, Route, legs_of
 
 Array = NDArray[np.float64]

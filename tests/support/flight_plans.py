@@ -7,7 +7,7 @@ from typing import Any
 
 from gcs.mission.model import Mission
 from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 
 START_M = 40.0
 """Height of the start above the origin's level; tests put the ground ten metres below it."""

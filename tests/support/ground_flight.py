@@ -8,7 +8,7 @@ from typing import Any
 from gcs.flight import FlightState
 from gcs.mission.model import Mission
 from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from tests.support.flight_plans import relay_document
 from tests.support.virtual_flight import VirtualFlight
 

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gcs.errors import MissionError, MissionInfeasible
 from gcs.mission.model import Mission
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from planner import Problem
 from tests.support.checker import check_plan
 from tests.support.planner_missions import random_chain

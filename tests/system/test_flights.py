@@ -27,7 +27,7 @@ from gcs.flight import FlightState
 from gcs.geodesy.ellipsoid import slant_range_m
 from gcs.mission.model import Mission
 from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from link.files.flight_report import report_flight
 from link.streamer.supervisor import start_flight
 from tests.scorecard.soak import counted

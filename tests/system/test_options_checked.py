@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from gcs.errors import MissionInfeasible
 from gcs.mission.model import Mission
 from gcs.plan.model import Plan, hash_of
+from gcs.planning.mission_planning import plan_mission
 from gcs.planning.option_costs import with_costs
-from gcs.planning.plan_mission import plan_mission
 from gcs.remedies.actions import apply_fix
 from tests.support.checker import check_plan, flight_energy_s
 from tests.support.option_missions import BASE, changed, on_earth, random_mission

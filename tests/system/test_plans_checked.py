@@ -12,7 +12,7 @@ import pytest
 
 from gcs.errors import MissionInfeasible
 from gcs.mission.model import Mission
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from tests.support.checker import check_plan
 from tests.support.paths import MISSIONS
 

@@ -14,11 +14,11 @@ import pytest
 
 from gcs.errors import ExportError
 from gcs.exports.handovers import CSV_HEADER, export_handovers, parse_launch, watches, write_atomic
-from gcs.exports.summary import summary
+from gcs.exports.plan_summary import summary
 from gcs.mission.model import Mission
 from gcs.mission.staffing import staffed
 from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from tests.support.malformed_missions import GOOD
 
 LAUNCH = datetime(2026, 11, 22, 9, 0, tzinfo=UTC)

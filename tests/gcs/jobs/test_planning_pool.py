@@ -20,7 +20,7 @@ from gcs.jobs.worker_pool import WorkerPool
 from gcs.mission.document import parse_mission_json
 from gcs.mission.model import Mission
 from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from gcs.store.missions import MissionRecord
 from gcs.store.store import Store
 from tests.support.infeasible_missions import local

@@ -15,7 +15,7 @@ from gcs.mission.model import Mission
 from gcs.plan.contingency import contingencies
 from gcs.plan.failsafe_return import ReturnRules, cells, own_returns
 from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from planner.trajectory import Trajectory
 
 STRAIGHT = Trajectory(

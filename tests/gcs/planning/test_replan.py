@@ -14,7 +14,7 @@ from gcs.errors import MissionError, MissionInfeasible
 from gcs.jobs.worker import answer
 from gcs.mission.model import LocalPosition, Mission
 from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from gcs.planning.replan import LEAST_PIECE_S, Replanned, ReplanOrder, replan
 from tests.support.checker import check_plan
 from tests.support.flight_plans import FIRST_JOIN_S, wide_document, wide_plan

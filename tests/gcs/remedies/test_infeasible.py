@@ -13,7 +13,7 @@ import pytest
 from gcs.errors import MissionInfeasible
 from gcs.layout.planning_problem import lay_out
 from gcs.mission.model import Mission
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from planner.infeasibility.diagnosis import diagnose
 from tests.support.checker import check_plan
 from tests.support.infeasible_missions import INFEASIBLE, local, wgs84

@@ -211,7 +211,7 @@ def _with_ids(plan: Plan, first: int) -> Plan:
 
 def _moved(document: dict[str, Any]) -> dict[str, Any]:
     from gcs.mission.model import Mission
-    from gcs.planning.plan_mission import plan_mission
+    from gcs.planning.mission_planning import plan_mission
 
     mission = dict(document["mission"])
     mission["origin"] = {**mission["origin"], "lat_deg": 40.0}

@@ -11,7 +11,7 @@ import pytest
 from gcs.flight import FlightState
 from gcs.mission.model import Mission
 from gcs.plan.model import Plan
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from link.preflight.check import Level
 from link.preflight.route import judge_lowest, judge_stops
 from tests.support.flight_plans import relay_document, relay_plan

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planner import build_corridor
-from planner.corridor.shortest_polyline import polyline_length_m, shortest_polyline
+from planner.corridor.polyline_program import polyline_length_m, shortest_polyline
 from planner.errors import SolverError
 from planner.paper.alternating import AlternatingMinimisation, plan_paper
 from planner.paper.boundary import control_points

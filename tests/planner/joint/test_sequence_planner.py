@@ -11,7 +11,7 @@ from planner import SolverError, Trajectory, build_corridor, certify
 from planner.joint import sequence_planner as joint_module
 from planner.joint.sequence_planner import Effort, plan_joint, seen_from_above, within_limits, without_rounding
 from planner.planner import plan_alternating
-from planner.routing.lower_bound import lower_bound
+from planner.routing.bound import lower_bound
 from planner.routing.station_sequence import candidate_routes
 from tests.support.planner_missions import make_problem, paper_problem
 

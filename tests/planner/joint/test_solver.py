@@ -21,7 +21,7 @@ from planner.coverage.overlap import lens_point_m
 from planner.errors import SolverError
 from planner.joint.sequence_planner import seen_from_above, without_rounding
 from planner.joint.solver import CorridorSolution, solve_corridor
-from planner.routing.lower_bound import lower_bound
+from planner.routing.bound import lower_bound
 from planner.routing.station_sequence import candidate_routes, is_chain
 from tests.support.planner_missions import PAPER_LIKE, make_problem, paper_problem, random_chain
 

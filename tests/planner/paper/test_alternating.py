@@ -16,7 +16,7 @@ from planner import InfeasibleError, Problem, ProblemError, SolverError, build_c
 from planner.infeasibility.diagnosis import diagnose
 from planner.paper.alternating import Iteration, plan_paper
 from planner.paper.station_graph import shortest_sequence
-from planner.routing.lower_bound import lower_bound
+from planner.routing.bound import lower_bound
 from tests.support.planner_missions import (
     HARD_SCENES,
     HARD_SEQUENCES,

@@ -14,7 +14,7 @@ from planner import InfeasibleError, Limits, Problem, Trajectory, build_corridor
 from planner.corridor.chebyshev import find_refuges, slack_m
 from planner.corridor.corridor import Corridor, Piece
 from planner.corridor.limit_check import CorridorCheck, speed_ratio
-from planner.corridor.shortest_polyline import polyline_length_m, settled, shortest_polyline
+from planner.corridor.polyline_program import polyline_length_m, settled, shortest_polyline
 from planner.paper.alternating import AlternatingMinimisation
 from planner.paper.boundary import CONTROL_FROM_BOUNDARY, control_points, rest_at, shortest_piece_s
 from planner.paper.initial import initial_durations, leg_durations

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from planner import InfeasibleError, Problem, build_corridor
 from planner.corridor.handover_polyline import polyline_along
-from planner.corridor.shortest_polyline import polyline_length_m, shortest_polyline
+from planner.corridor.polyline_program import polyline_length_m, shortest_polyline
 from planner.infeasibility.diagnosis import diagnose
 from planner.routing import station_sequence
-from planner.routing.lower_bound import lower_bound
+from planner.routing.bound import lower_bound
 from planner.routing.portal_graph import PortalGraph
 from planner.routing.station_sequence import candidate_routes, geodesic_sequence, is_chain
 from tests.support.planner_missions import make_problem, paper_problem

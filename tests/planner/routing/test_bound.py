@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import planner.routing.lower_bound as bound_module
+import planner.routing.bound as bound_module
 from planner import Limits, Problem
-from planner.routing.lower_bound import lower_bound
+from planner.routing.bound import lower_bound
 from planner.routing.navmesh import NavigationMesh
 from planner.speed_profile import fastest_time_s
 from tests.support.planner_missions import make_problem, paper_problem

@@ -21,7 +21,7 @@ from gcs.mission.document import parse_mission_json
 from gcs.mission.model import Mission
 from gcs.plan.model import UNHASHED, Plan, hash_of
 from gcs.planning.certification import recertify
-from gcs.planning.plan_mission import plan_mission
+from gcs.planning.mission_planning import plan_mission
 from planner.trajectory import Trajectory
 from tests.support.checker import check_plan
 from tests.support.infeasible_missions import local, wgs84
