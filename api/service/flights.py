@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Wor
 from gcs.plan import Plan
 from gcs.settings import Settings
 from gcs.store import FlightRecord, Store
+from gcs.timestamps import utc_now_text
 from link.errors import LinkError, SupervisorError
 from link.session import FlightRequest
 from link.streamer import RunningFlight, attach, start_flight
@@ -132,7 +132,7 @@ class FlightDesk:
         return folder
 
     def _end_unstarted(self, flight_id: str, why: str) -> None:
-        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        now = utc_now_text()
         data = {"from": FlightState.CONNECTING.value, "to": FlightState.REFUSED.value, "reason": why}
         event = FlightEvent(1, EventKind.STATE, 0.0, None, now, FlightState.REFUSED, data)
         with contextlib.suppress(StoreError):
@@ -181,7 +181,7 @@ class FlightDesk:
         if fold.state.ended:
             return
         state = FlightState.LOST if fold.state.airborne else FlightState.REFUSED
-        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        now = utc_now_text()
         data = {"what": "the streamer died while the service was away", "from": fold.state.value}
         event = FlightEvent(fold.sequence + 1, EventKind.ALARM, 0.0, fold.t_plus_s, now, state, data)
         journal.append(record.id, event)
