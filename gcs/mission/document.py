@@ -16,7 +16,7 @@ from dataclasses import fields
 import numpy as np
 
 from gcs.document_reader import MAX_DOCUMENT_BYTES, FaultList, Reader, parse_json, type_name
-from gcs.errors import Fault, MissionError
+from gcs.errors import InputFault, MissionError
 from gcs.geodesy.ellipsoid import slant_range_m
 from gcs.mission.model import (
     MAX_STATIONS,
@@ -77,7 +77,9 @@ def parse_option(text: str) -> tuple[str, object]:
     if not equals or name not in OPTION_FIELDS:
         close = difflib.get_close_matches(name, OPTION_FIELDS, n=1)
         fix = f"did you mean {close[0]}?" if close else "write NAME=VALUE"
-        raise MissionError([Fault(f"options.{name or '?'}", "is not an option", text, ", ".join(OPTION_FIELDS), fix)])
+        raise MissionError(
+            [InputFault(f"options.{name or '?'}", "is not an option", text, ", ".join(OPTION_FIELDS), fix)]
+        )
     try:
         return name, parse_json(value)
     except MissionError:
@@ -129,12 +131,14 @@ def _refuse_strangers(document: object) -> None:
     if not isinstance(document, Mapping):
         return
     if "plan_sha256" in document or "segments" in document:
-        fault = Fault("mission", "is a plan, not a mission", None, "a mission", "give what stands in its field mission")
+        fault = InputFault(
+            "mission", "is a plan, not a mission", None, "a mission", "give what stands in its field mission"
+        )
         raise MissionError([fault])
     if document.get("type") in ("FeatureCollection", "Feature") or document.get("fileType") == "Plan":
         what = "is GeoJSON" if "type" in document else "is a QGroundControl plan"
         fix = "write it as a mission: start, destination, stations, limits"
-        raise MissionError([Fault("mission", f"{what}, not a mission", None, "a mission", fix)])
+        raise MissionError([InputFault("mission", f"{what}, not a mission", None, "a mission", fix)])
 
 
 def _geo(reader: Reader) -> GeoPosition:

@@ -88,7 +88,7 @@ def open_links(request: FlightRequest) -> dict[str, Endpoint]:
     Raises `EndpointError`, or `FlightRequestError` for links this flight must not use: not loopback with a speed-up, or
     unsigned.
     """
-    from gcs.errors import Fault
+    from gcs.errors import InputFault
 
     endpoints: dict[str, Endpoint] = {}
     try:
@@ -101,13 +101,13 @@ def open_links(request: FlightRequest) -> dict[str, Endpoint]:
                 continue
             if request.speedup != 1.0:
                 problems.append(
-                    Fault(
+                    InputFault(
                         f"links.{station}", "a speed-up is for simulations", url, "loopback links", "fly at speed-up 1"
                     )
                 )
             if request.signing_key is None and not request.allow_unsigned:
                 problems.append(
-                    Fault(
+                    InputFault(
                         f"links.{station}",
                         "the link leaves this machine and nothing on it is signed",
                         url,

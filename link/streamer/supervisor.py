@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gcs.errors import Fault
+from gcs.errors import InputFault
 from gcs.flight import EventKind, FlightEvent, FlightState, Journal, TransitionError
 from gcs.timestamps import utc_now_text
 from link.errors import FlightRequestError, SupervisorError
@@ -106,7 +106,7 @@ def _connect(folder: Path, process: subprocess.Popen[bytes]) -> socket.socket:
             refusal = folder / "refusal.json"
             if refusal.exists():
                 said = json.loads(refusal.read_bytes())
-                raise FlightRequestError([Fault("links", said["error"])])
+                raise FlightRequestError([InputFault("links", said["error"])])
             tail = (folder / "streamer.log").read_text(errors="replace")[-2000:]
             raise SupervisorError(f"the streamer ended at once (exit code {process.returncode}): {tail}")
         try:

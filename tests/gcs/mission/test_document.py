@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcs.errors import Fault, MissionError, MissionInfeasible, infeasible_from_document
+from gcs.errors import InputFault, MissionError, MissionInfeasible, infeasible_from_document
 from gcs.mission.document import parse_mission_json, parse_option
 from gcs.mission.model import Mission
 from gcs.mission.system_ids import assign_system_ids
@@ -370,6 +370,6 @@ def test_infeasible_survives_documents_and_pickles() -> None:
 
 
 def test_fault_shows_long_values_short() -> None:
-    fault = Fault("x", "is wrong", ["y" * 1000])
+    fault = InputFault("x", "is wrong", ["y" * 1000])
     assert len(str(fault)) < 200
     assert isinstance(fault.to_document()["value"], str)
