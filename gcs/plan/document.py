@@ -10,7 +10,7 @@ import numpy as np
 from gcs.document_reader import FaultList, Reader
 from gcs.errors import MissionError, PlanError
 from gcs.geodesy.plane import Plane
-from gcs.mission.model import Mission
+from gcs.mission.document import read_mission
 from gcs.plan.contingency import Contingency
 from gcs.plan.handover_schedule import Handover
 from gcs.plan.model import PROJECTION, OptionCost, Plan, hash_of
@@ -56,7 +56,7 @@ def read_plan(document: object) -> Plan:
     if claimed != actual:
         raise PlanError(f"does not fit the document, whose hash is {actual}: it was altered", "plan_sha256")
     try:
-        mission = Mission.from_document(document["mission"], max_stations=MAX_STATIONS)
+        mission = read_mission(document["mission"], max_stations=MAX_STATIONS)
     except MissionError as error:
         first = error.problems[0]
         raise PlanError(f"{first.what}; {error}", f"mission.{first.where}") from None

@@ -22,8 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible
+from gcs.mission.document import read_mission, with_options
 from gcs.mission.model import LocalPosition, Mission, Position, StartState
+from gcs.mission.writing import write_mission
 from gcs.plan.contingency import contingencies
+from gcs.plan.document import read_plan
 from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
 from gcs.planning.certification import recertify
@@ -85,15 +88,15 @@ class ReplanOrder:
 
     def execute(self, **how: Any) -> Replanned:
         """`replan` as ordered; raises `PlanError` and `MissionError` too, for a plan or destination that is none."""
-        plan = Plan.from_document(self.plan)
+        plan = read_plan(self.plan)
         mission = plan.mission
         if self.destination is not None or self.excluded_stations is not None:
-            document = mission.to_document()
+            document = write_mission(mission)
             if self.destination is not None:
                 document["destination"] = dict(self.destination)
-            mission = Mission.from_document(document, max_stations=max(1, len(mission.stations)))
+            mission = read_mission(document, max_stations=max(1, len(mission.stations)))
             if self.excluded_stations is not None:
-                mission = mission.with_options({"excluded_stations": list(self.excluded_stations)})
+                mission = with_options(mission, {"excluded_stations": list(self.excluded_stations)})
         return replan(
             plan,
             self.join_s,

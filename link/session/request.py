@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from gcs.errors import InputFault, PlanError
-from gcs.plan import Plan
+from gcs.plan import Plan, read_plan
 from link.autopilot.registry import PROFILES
 from link.errors import EndpointUrlError, FlightRequestError
 from link.transport.url import parse_url
@@ -88,7 +88,7 @@ class FlightRequest:
         problems = [*self._numbers(), *self._choices()]
         plan: Plan | None = None
         try:
-            plan = Plan.from_document(self.plan)
+            plan = read_plan(self.plan)
         except PlanError as error:
             problems.append(InputFault(error.where or "plan", str(error), fix="plan the mission again"))
         if plan is not None:

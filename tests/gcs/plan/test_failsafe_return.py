@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcs.layout.mission_geometry import Ground, choose_plane
-from gcs.mission.model import Mission
+from gcs.mission import read_mission, write_mission
+from gcs.plan import read_plan
 from gcs.plan.contingency import contingencies
 from gcs.plan.failsafe_return import ReturnRules, cells, own_returns
-from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 from planner.trajectory import Trajectory
 
@@ -38,7 +38,7 @@ def ground(range_m: float = 3000.0, max_speed_m_s: float = 10.0) -> Ground:
         },
         "safe_points": [{"id": "end", "east_m": 1000.0, "north_m": 0.0, "up_m": 0.0}],
     }
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     return Ground(mission, choose_plane(mission))
 
 
@@ -110,14 +110,14 @@ def test_wherever_it_begins_the_way_taken_is_covered_where_the_span_says_so(
 
 
 def test_a_plan_says_where_its_vehicle_goes_by_itself() -> None:
-    document = ground().mission.to_document()
+    document = write_mission(ground().mission)
     document["options"] = {}
-    plan = plan_mission(Mission.from_document(document), fast=True)
+    plan = plan_mission(read_mission(document), fast=True)
     assert all(way.own_return_covered for way in plan.contingencies)
     # The field at the end is the nearest there: over it, 50 m down at full speed's sink, and a while to turn.
     assert plan.contingencies[-1].own_return_s is not None
     assert 0.0 < plan.contingencies[-1].own_return_s < 100.0
-    again = Plan.from_document(plan.to_document())
+    again = read_plan(plan.to_document())
     assert again.contingencies == plan.contingencies
     # Plans made before these were worked out stay readable, to the hash.
     old = plan.to_document()
@@ -126,7 +126,7 @@ def test_a_plan_says_where_its_vehicle_goes_by_itself() -> None:
     from gcs.plan.model import hash_of
 
     old["plan_sha256"] = hash_of(old)
-    read = Plan.from_document(old)
+    read = read_plan(old)
     assert read.contingencies[0].own_return_covered is None
     assert read.plan_sha256 == old["plan_sha256"]
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from gcs.geodesy.ellipsoid import slant_range_m
 from gcs.geodesy.plane import Plane
 from gcs.layout.mission_geometry import Ground, choose_plane
+from gcs.mission import read_mission, write_mission
 from gcs.mission.model import GeoPosition, Mission
 from gcs.plan.contingency import contingencies
 from gcs.plan.handover_schedule import schedule
@@ -43,7 +44,7 @@ def two_discs(**station_changes: Any) -> Mission:
     document["destination"] |= {"east_m": 2000.0, "up_m": 100.0}
     for station, east in zip(document["stations"], (0.0, 2000.0), strict=True):
         station |= {"east_m": east, "up_m": 100.0, "range_m": 1200.0, **station_changes}
-    return Mission.from_document(document)
+    return read_mission(document)
 
 
 PATH = straight((0, 0, 100), (1000, 0, 100), (2000, 0, 100), speed_m_s=10.0, stations=[0, 1])
@@ -85,7 +86,7 @@ def test_elevation_narrows_the_overlap() -> None:
     document["destination"] |= {"east_m": 1000.0, "up_m": 100.0}
     for station, east in zip(document["stations"], (0.0, 1000.0), strict=True):
         station |= {"east_m": east, "up_m": 0.0, "range_m": 2000.0, "min_elevation_deg": 10.0}
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     path = straight((0, 0, 100), (500, 0, 100), (1000, 0, 100), speed_m_s=10.0, stations=[0, 1])
     (handover,) = schedule(Ground(mission, choose_plane(mission)), path)
     reach = 100.0 / np.tan(np.radians(10.0))
@@ -107,7 +108,7 @@ def test_windows_on_the_earth_end_where_the_true_range_does(
     for name, end in zip(("start", "destination"), ends, strict=True):
         document[name] |= {"lat_deg": end["lat2"], "lon_deg": end["lon2"]}
     document["safe_points"] = []
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     ground = Ground(mission, choose_plane(mission))
     start, stop = ground.enu_m([mission.start, mission.destination])
     path = straight(tuple(start), tuple((start + stop) / 2), tuple(stop), speed_m_s=25.0, stations=[0, 1])
@@ -138,31 +139,31 @@ def test_the_plane_of_a_mission_lies_in_its_middle() -> None:
     places = [document["start"], document["destination"], *document["stations"], *document["safe_points"]]
     for place, lon in zip(places, (179.9, -179.9, 179.9, -179.9, -179.9), strict=True):
         place |= {"lat_deg": 10.0, "lon_deg": lon}
-    plane = choose_plane(Mission.from_document(document))
+    plane = choose_plane(read_mission(document))
     assert abs(abs(plane.lon_deg) - 180.0) < 1e-3
     assert plane.lat_deg == pytest.approx(10.0, abs=1e-3)
     assert plane.alt_amsl_m == 0.0
-    assert choose_plane(Mission.from_document(GOOD_LOCAL)) == Plane(39.96, 116.32, 0.0)
+    assert choose_plane(read_mission(GOOD_LOCAL)) == Plane(39.96, 116.32, 0.0)
 
 
 # --- ways out --------------------------------------------------------------------------------------------------
 
 
 def with_safe_points(mission: Mission, **places: tuple[float, float]) -> Ground:
-    document = mission.to_document()
+    document = write_mission(mission)
     document["safe_points"] = [
         {"id": name, "east_m": east, "north_m": north, "up_m": 0.0} for name, (east, north) in places.items()
     ]
-    changed = Mission.from_document(document)
+    changed = read_mission(document)
     return Ground(changed, choose_plane(changed))
 
 
 def test_ways_out_by_hand() -> None:
     """A field under A, one under B: back to A's at first, on to B's later; each 100 m down at 10 m/s at the end."""
     mission = two_discs()
-    document = mission.to_document()
+    document = write_mission(mission)
     document["limits"] = {**GOOD_LOCAL["limits"], "max_speed_m_s": 10.0, "max_accel_m_s2": 2.0}
-    ground = with_safe_points(Mission.from_document(document), west=(0.0, 0.0), east=(2000.0, 0.0))
+    ground = with_safe_points(read_mission(document), west=(0.0, 0.0), east=(2000.0, 0.0))
     ways = contingencies(ground, PATH)
     assert ways[0].from_s == 0.0
     assert ways[-1].to_s == 200.0
@@ -199,7 +200,7 @@ def test_a_detour_home_is_seen_to_be_uncovered() -> None:
         {"id": name, "east_m": east, "north_m": north, "up_m": 100.0, "range_m": 800.0}
         for name, east, north in (("A", 0, 0), ("B", 0, 1500), ("C", 1500, 1500), ("D", 3000, 0))
     ]
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     path = straight(
         (0, 0, 100),
         (0, 750, 100),
@@ -223,7 +224,7 @@ def test_return_leaves_the_path_where_a_field_is_near() -> None:
         for name, east, north in (("A", 0, 0), ("B", 1000, 0), ("C", 2000, 0), ("N", 1200, 1000))
     ]
     document["limits"] = {**GOOD_LOCAL["limits"], "max_speed_m_s": 10.0}
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     path = straight((0, 0, 100), (500, 0, 100), (1500, 0, 100), (2000, 0, 100), speed_m_s=10.0, stations=[0, 1, 2])
     ways = contingencies(with_safe_points(mission, field=(1300.0, 900.0)), path)
     last = ways[-1]
@@ -250,7 +251,7 @@ def test_ways_out_said_to_be_covered_are(seed: int) -> None:
         }
         for k in range(5)
     ]
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     fields = {f"f{k}": (float(rng.uniform(-500, 4000)), float(rng.uniform(-1500, 1500))) for k in range(4)}
     ground = with_safe_points(mission, **fields)
     path = straight((0, 0, 110), (1600, 200, 105), (3200, -100, 115), speed_m_s=40.0, stations=[0, 3])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gcs.flight import FlightState
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 from link.preflight.check import Level
@@ -26,7 +26,7 @@ def falling_plan() -> Plan:
     """From 40 m down to 31 m AMSL."""
     document: dict[str, Any] = relay_document(2)
     document["destination"]["up_m"] = 31.0
-    return plan_mission(Mission.from_document(document), fast=True)
+    return plan_mission(read_mission(document), fast=True)
 
 
 @cache
@@ -34,7 +34,7 @@ def tight_plan(**options: object) -> Plan:
     """Stations whose ranges share little, for a vehicle of 15 m/s that brakes at 1.5 m/s^2: 5 s of the path to stop."""
     document: dict[str, Any] = relay_document(2, spacing_m=650.0, **options)
     document["limits"]["max_accel_m_s2"] = 1.5
-    return plan_mission(Mission.from_document(document), fast=True)
+    return plan_mission(read_mission(document), fast=True)
 
 
 def test_a_plan_that_goes_below_the_ground_the_vehicle_stands_on_is_told_with_figures() -> None:
