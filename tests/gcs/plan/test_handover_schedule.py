@@ -195,7 +195,7 @@ def test_a_detour_home_is_seen_to_be_uncovered() -> None:
               |         crosses a hole
         A o   D o
     """
-    document = two_discs().to_document()
+    document = write_mission(two_discs())
     document["stations"] = [
         {"id": name, "east_m": east, "north_m": north, "up_m": 100.0, "range_m": 800.0}
         for name, east, north in (("A", 0, 0), ("B", 0, 1500), ("C", 1500, 1500), ("D", 3000, 0))
@@ -218,7 +218,7 @@ def test_a_detour_home_is_seen_to_be_uncovered() -> None:
 
 def test_return_leaves_the_path_where_a_field_is_near() -> None:
     """A field beside the path at 1300 m: later on, where the straight way to it is not covered, back there and over."""
-    document = two_discs().to_document()
+    document = write_mission(two_discs())
     document["stations"] = [
         {"id": name, "east_m": east, "north_m": north, "up_m": 100.0, "range_m": 620.0}
         for name, east, north in (("A", 0, 0), ("B", 1000, 0), ("C", 2000, 0), ("N", 1200, 1000))
@@ -239,7 +239,7 @@ def test_return_leaves_the_path_where_a_field_is_near() -> None:
 def test_ways_out_said_to_be_covered_are(seed: int) -> None:
     """Random stations and fields along a path: every divert, from any time of its span, stays in some range."""
     rng = np.random.default_rng(seed)
-    document = two_discs().to_document()
+    document = write_mission(two_discs())
     document["stations"] = [
         {
             "id": f"s{k}",
