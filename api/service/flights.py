@@ -21,7 +21,7 @@ from api.service.changes import Changes
 from api.service.flight_status import FlightFold
 from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.exports import write_atomic
-from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError
 from gcs.plan import Plan
 from gcs.settings import Settings
 from gcs.store import FlightRecord, Store
@@ -198,7 +198,7 @@ class FlightDesk:
                 flight.detach()
             else:
                 with contextlib.suppress(TransitionError, SupervisorError, TimeoutError):
-                    flight.command(Word.ABORT, by="service", reason="the service ends")
+                    flight.command(OperatorCommand.ABORT, by="service", reason="the service ends")
                     flight.wait(3.0)
                 if flight.result is None:
                     flight.kill()
@@ -206,7 +206,7 @@ class FlightDesk:
 
     # -- speaking -----------------------------------------------------------------------------------------------------
 
-    def command(self, flight_id: str, word: Word, **fields: Any) -> None:
+    def command(self, flight_id: str, word: OperatorCommand, **fields: Any) -> None:
         """Say a word to a flight.
 
         Raises `gcs.errors.NotFoundError`, `ConflictError` (it has ended), `TransitionError` (it may not be said now),
@@ -235,7 +235,7 @@ class FlightDesk:
                 f"the preflight is {age_s:.0f} s old, allowed is under {PREFLIGHT_VALID_S:.0f} s; "
                 "abort this flight and make another"
             )
-        flight.command(Word.LAUNCH, by=by, plan_sha256=plan_sha256)
+        flight.command(OperatorCommand.LAUNCH, by=by, plan_sha256=plan_sha256)
 
     def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:
         """Give a flight another plan to fly from here on. Raises as `command` does."""

@@ -201,8 +201,8 @@ def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) 
                 duration_s=at.number("duration_s", 0.0, _BIG, "s"),
                 straight_home_covered=at.data.get("straight_home_covered") is True,
                 leave_path_s=at.optional_number("leave_path_s", 0.0, _BIG, "s"),
-                own_return_covered=own_covered if isinstance(own_covered, bool) else None,
-                own_return_s=at.optional_number("own_return_s", 0.0, _BIG, "s"),
+                failsafe_return_covered=own_covered if isinstance(own_covered, bool) else None,
+                failsafe_return_s=at.optional_number("own_return_s", 0.0, _BIG, "s"),
             )
         )
     return tuple(result)

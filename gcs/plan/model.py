@@ -16,7 +16,7 @@ import rfc8785
 
 from gcs.errors import PlanError
 from gcs.geodesy.plane import Plane
-from gcs.layout.mission_geometry import Ground
+from gcs.layout.mission_geometry import MissionGeometry
 from gcs.mission.model import Mission, Station
 from gcs.mission.writing import write_mission
 from gcs.plan.contingency import Contingency
@@ -71,9 +71,9 @@ class Plan:
         return self.trajectory.duration_s
 
     @cached_property
-    def ground(self) -> Ground:
+    def geometry(self) -> MissionGeometry:
         """Mission and plane together, to measure with."""
-        return Ground(self.mission, self.plane)
+        return MissionGeometry(self.mission, self.plane)
 
     @cached_property
     def station_ids(self) -> tuple[str, ...]:

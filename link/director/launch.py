@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gcs.flight import EventKind, FlightState
-from gcs.plan import Place, own_returns
+from gcs.plan import Place, failsafe_returns
 from link.dialect import mavlink
 from link.director.borrowed_settings import Loan
 from link.director.takeoff import TakeOff
@@ -23,7 +23,7 @@ from link.microservices.mission_client import MissionDesk
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
 from link.preflight.check import Check, Level, worst, worst_first
-from link.preflight.failsafe_return import judge_own_return, return_rules
+from link.preflight.failsafe_return import judge_failsafe_return, return_rules
 from link.preflight.geofence import judge_limits
 from link.preflight.identity import Identity, judge_identity
 from link.preflight.link import judge_link
@@ -334,8 +334,8 @@ class Launch:
         checks += yield from loan.take_rally(self.ground_amsl_m)
         checks += yield from loan.take_fence(self.values, home_enu_m)
         rules = return_rules(c.profile, self.values, c.plan, home_enu_m, loan.points)
-        returns = own_returns(c.plan.ground, c.plan.trajectory, rules)
-        return [*checks, *judge_own_return(c.plan, rules, returns)]
+        returns = failsafe_returns(c.plan.geometry, c.plan.trajectory, rules)
+        return [*checks, *judge_failsafe_return(c.plan, rules, returns)]
 
     def restore(self) -> Steps[None]:
         """Give back what was changed in the vehicle for this flight; on the ground, disarmed."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from gcs.plan import OwnReturn, Place, Plan, ReturnRules
+from gcs.plan import FailsafeReturn, Place, Plan, ReturnRules
 from link.autopilot.profile import AutopilotProfile
 from link.preflight.check import Check, Level
 from link.preflight.failsafe_parameters import Values
@@ -36,7 +36,7 @@ def return_rules(
     )
 
 
-def judge_own_return(plan: Plan, rules: ReturnRules, returns: tuple[OwnReturn, ...]) -> list[Check]:
+def judge_failsafe_return(plan: Plan, rules: ReturnRules, returns: tuple[FailsafeReturn, ...]) -> list[Check]:
     """Where the autopilot's own failsafe takes the vehicle: in range or not, how long, how high."""
     duration_s = plan.mission_time_s
     share = sum(way.to_s - way.from_s for way in returns if not way.covered) / duration_s

@@ -60,7 +60,7 @@ def judge_stops(plan: Plan, loss_timeout_s: float, *, after_s: float = 0.0) -> l
             continue
         old = np.array([plan.mission.station_index(handover.from_station)])
         way = plan.trajectory.evaluate(np.linspace(handover.time_s, stop_s, 100))
-        outside_m = max(0.0, float(plan.ground.outside_m(np.repeat(old, 100), way).max()))
+        outside_m = max(0.0, float(plan.geometry.outside_m(np.repeat(old, 100), way).max()))
         checks.append(
             Check(
                 f"handover {handover.index}",

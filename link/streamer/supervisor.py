@@ -152,7 +152,7 @@ class RunningFlight:
     # -- speaking -----------------------------------------------------------------------------------------------------
 
     def command(self, word: str, **fields: Any) -> None:
-        """Say a word (`gcs.flight.Word`) to the flight; fields as in `link.director.core.FlightCore.command`.
+        """Give the flight an operator command (`gcs.flight`); fields as in `link.director.core.FlightCore.command`.
 
         Raises `TransitionError` when the flight refuses it, `SupervisorError` when it cannot be reached.
         """

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gcs.geodesy.plane import Plane
-from gcs.layout.mission_geometry import Ground
+from gcs.layout.mission_geometry import MissionGeometry
 from gcs.mission import read_mission
 from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
@@ -72,7 +72,7 @@ def make_plan(
         mission=mission,
         trajectory=trajectory,
         plane=plane,
-        handovers=schedule(Ground(mission, plane), trajectory),
+        handovers=schedule(MissionGeometry(mission, plane), trajectory),
         contingencies=(),
         certificate=Certificate({}),
         lower_bound_s=0.0,

@@ -18,7 +18,7 @@ from api.rest.routes.plans import planned
 from api.rest.routes.shared import Cursor, Limit, MissionId
 from api.service.flight_status import FlightFold, outer_state
 from api.service.services import Services
-from gcs.flight import Word
+from gcs.flight import OperatorCommand
 from gcs.store import FlightRecord
 
 router = APIRouter(prefix="/v1/flights", tags=["flights"])
@@ -139,7 +139,7 @@ def launch(services: Wired, flight_id: FlightId, body: schemas.LaunchWord) -> sc
 
 
 def _say(
-    services: Services, flight_id: str, word: Word, body: schemas.Said | None, **fields: Any
+    services: Services, flight_id: str, word: OperatorCommand, body: schemas.Said | None, **fields: Any
 ) -> schemas.FlightDetail:
     said = body or schemas.Said(by=None, reason=None)
     with shared.domain_errors():
@@ -150,25 +150,25 @@ def _say(
 @router.post("/{flight_id}/hold", summary="Stop on the path")
 def hold(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
     """The stream goes on with zero velocity; the schedule shifts."""
-    return _say(services, flight_id, Word.HOLD, body)
+    return _say(services, flight_id, OperatorCommand.HOLD, body)
 
 
 @router.post("/{flight_id}/resume", summary="Go on after a hold")
 def resume(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
     """Coverage is checked again and the schedule re-timed."""
-    return _say(services, flight_id, Word.RESUME, body)
+    return _say(services, flight_id, OperatorCommand.RESUME, body)
 
 
 @router.post("/{flight_id}/abort", summary="Fly the contingency in force")
 def abort(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
     """On the ground: give the flight up."""
-    return _say(services, flight_id, Word.ABORT, body)
+    return _say(services, flight_id, OperatorCommand.ABORT, body)
 
 
 @router.post("/{flight_id}/land", summary="Land where the vehicle is")
 def land(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
     """At once, wherever that is."""
-    return _say(services, flight_id, Word.LAND, body)
+    return _say(services, flight_id, OperatorCommand.LAND, body)
 
 
 def _flown_plan(services: Services, flight_id: str, plan_sha256: str) -> dict[str, Any]:
@@ -225,7 +225,7 @@ def ready(
     services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
 ) -> schemas.FlightDetail:
     """The next station's operator stands by."""
-    return _say(services, flight_id, Word.READY, body, handover=index)
+    return _say(services, flight_id, OperatorCommand.READY, body, handover=index)
 
 
 @router.post("/{flight_id}/handovers/{index}/accept", summary="Accept a handover")
@@ -233,7 +233,7 @@ def accept(
     services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
 ) -> schemas.FlightDetail:
     """As `ready`, and takes a refusal back."""
-    return _say(services, flight_id, Word.ACCEPT, body, handover=index)
+    return _say(services, flight_id, OperatorCommand.ACCEPT, body, handover=index)
 
 
 @router.post("/{flight_id}/handovers/{index}/refuse", summary="Refuse a handover")
@@ -241,7 +241,7 @@ def refuse(
     services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
 ) -> schemas.FlightDetail:
     """The present station stays in control; the flight waits before the next range, and then flies the contingency."""
-    return _say(services, flight_id, Word.REFUSE, body, handover=index)
+    return _say(services, flight_id, OperatorCommand.REFUSE, body, handover=index)
 
 
 @router.websocket("/{flight_id}/telemetry")

@@ -329,7 +329,7 @@ def test_wind_and_elevation_on_the_earth() -> None:
     true = np.einsum("nij,nj->ni", axes, velocity[:, :2]) - np.array([6.0, -4.0])
     assert np.hypot(np.hypot(true[:, 0], true[:, 1]), velocity[:, 2]).max() <= 25.0
     assert plan.lower_bound_s <= plan.mission_time_s
-    outside = plan.ground.outside_m(plan.trajectory.station_index[plan.trajectory.segment_at(times)], at)
+    outside = plan.geometry.outside_m(plan.trajectory.station_index[plan.trajectory.segment_at(times)], at)
     assert outside.max() <= 0.0
 
 
