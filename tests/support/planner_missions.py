@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from geographiclib.geodesic import Geodesic
 
-from planner import Limits, Problem
+from planner import Limits, Problem, Solution
 from tests.support.paths import MISSIONS
 
 PAPER_LIKE = tuple(sorted(path.stem for path in (MISSIONS / "paper_like").glob("*.json")))
@@ -205,6 +206,14 @@ def random_chain(seed: int) -> Problem | None:
         min_tenure_s=float(rng.choice([0.0, 0.0, 10.0, 300.0])),
         **options,
     )
+
+
+def digest(solution: Solution) -> str:
+    """One text for a plan to the last bit."""
+    trajectory = solution.trajectory
+    return hashlib.sha256(
+        trajectory.control_points_m.tobytes() + trajectory.durations_s.tobytes() + trajectory.station_index.tobytes()
+    ).hexdigest()
 
 
 def scene(*stations: tuple[float, float, float, float], **options: object) -> Problem:
