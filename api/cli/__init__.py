@@ -19,7 +19,15 @@ from api.cli.bench import command as bench
 from api.cli.commands import flight, fly, handovers, plan, report, serve, setpoints, simulate
 from api.cli.demo import command as demo
 from api.cli.doctor import machine as doctor
-from api.cli.errors import EXIT_BAD_INPUT, EXIT_FAULT, EXIT_INTERRUPTED, CommandError, FaultError, Terminated
+from api.cli.errors import (
+    EXIT_BAD_INPUT,
+    EXIT_FAULT,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    CommandError,
+    FaultError,
+    Terminated,
+)
 from api.processes.children import ChildError
 
 __all__ = ["main"]
@@ -86,7 +94,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     code = EXIT_FAULT
     try:
         result = app(args=arguments, standalone_mode=False, prog_name="skyrelay")
-        code = result if isinstance(result, int) else 0
+        code = result if isinstance(result, int) else EXIT_OK
         sys.stdout.flush()
     except CommandError as error:
         _complain(error.block())

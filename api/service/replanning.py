@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from api.service.errors import ReplanFailedError, ReplanInfeasibleError, ReplanStateError, StillStoppingError
-from api.service.flights import FlightDesk
+from api.service.flights import FlightService
 from gcs.errors import MissionInfeasible, PlanningCancelled, PlanningFailed
 from gcs.flight import FlightState
 from gcs.jobs import PlanningPool
@@ -67,8 +67,8 @@ class Proposal:
 class Replanning:
     """Proposals of all flights."""
 
-    def __init__(self, desk: FlightDesk, pool: PlanningPool) -> None:
-        self._desk = desk
+    def __init__(self, flights: FlightService, pool: PlanningPool) -> None:
+        self._flights = flights
         self._pool = pool
 
     def propose(
@@ -85,7 +85,7 @@ class Replanning:
         ``plan_of`` gives a plan's document by its hash. Raises a `api.service.errors.ReplanError` where the flight
         cannot be replanned now or no plan is found, `gcs.errors.MissionError`, `SupervisorError`.
         """
-        status = self._desk.status(flight_id)
+        status = self._flights.streamer_status(flight_id)
         state = FlightState(status["state"])
         if state not in (FlightState.CRUISE, FlightState.HOLDING) or status["plan_s"] is None:
             raise ReplanStateError(f"a flight that is {state} cannot be replanned; it must cruise or hold on its path")
@@ -128,14 +128,14 @@ class Replanning:
         # From rest the plan's time moves on by the braking it stands for; the clock does not.
         shift_s += leave_s - join_s
         plan = Plan.from_document(made["plan"])
-        checks = judge_next(plan, self._desk.request(flight_id), loss_timeout_s=loss_timeout_s, after_s=join_s)
+        checks = judge_next(plan, self._flights.request(flight_id), loss_timeout_s=loss_timeout_s, after_s=join_s)
         told = [check.to_document() for check in checks]
         proposal = Proposal(made["plan"], join_s, leave_s, at_rest, shift_s, decide_by_s, told)
-        self._desk.keep_proposal(flight_id, asdict(proposal))
+        self._flights.keep_proposal(flight_id, asdict(proposal))
         return proposal
 
     def accept(self, flight_id: str, plan_sha256: str, *, by: str, reason: str) -> None:
-        """A person's word: fly this proposal. Raises `NotFoundError`, and as `FlightDesk.command` does."""
-        proposal = Proposal(**self._desk.proposal(flight_id, plan_sha256))
+        """An operator command: fly this proposal. Raises `NotFoundError`, and as `FlightService.command` does."""
+        proposal = Proposal(**self._flights.proposal(flight_id, plan_sha256))
         times = {"join_s": proposal.join_s, "leave_s": proposal.leave_s} if proposal.at_rest else {}
-        self._desk.replan(flight_id, proposal.plan, by=by, reason=reason, **times)
+        self._flights.replan(flight_id, proposal.plan, by=by, reason=reason, **times)

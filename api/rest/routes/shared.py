@@ -77,7 +77,7 @@ def cursor_number(cursor: str | None) -> int | None:
     return int(cursor)
 
 
-def as_problem(error: Exception) -> ApiError | None:
+def api_error_of(error: Exception) -> ApiError | None:
     """A domain error as the problem it means to the outside; None for one nobody expects."""
     match error:
         case gcs_errors.MissionError():
@@ -126,7 +126,7 @@ def domain_errors() -> Iterator[None]:
     except ApiError:
         raise
     except Exception as error:
-        problem = as_problem(error)
+        problem = api_error_of(error)
         if problem is None:
             raise
         raise problem from error

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from api.service.flights import FlightDesk
+from api.service.flights import FlightService
 from api.service.replanning import Replanning
 from gcs.errors import NotFoundError
 from gcs.plan.model import Plan
@@ -59,9 +59,9 @@ class Pool:
 def service(run_dir: Path, running: Running) -> Replanning:
     """One that has just started and found the flight."""
     store = SimpleNamespace(flights=SimpleNamespace(get=lambda _: SimpleNamespace(document={"run_dir": str(run_dir)})))
-    desk = FlightDesk(None, store, None)  # type: ignore[arg-type]
-    desk._watched["f"] = SimpleNamespace(flight=running)  # type: ignore[assignment]
-    return Replanning(desk, Pool())  # type: ignore[arg-type]
+    flights = FlightService(None, store, None)  # type: ignore[arg-type]
+    flights._watched["f"] = SimpleNamespace(flight=running)  # type: ignore[assignment]
+    return Replanning(flights, Pool())  # type: ignore[arg-type]
 
 
 def test_a_proposal_outlives_the_service_and_is_judged_like_a_launch(tmp_path: Path) -> None:
@@ -79,13 +79,13 @@ def test_a_proposal_outlives_the_service_and_is_judged_like_a_launch(tmp_path: P
 
 
 def test_of_a_flights_proposals_the_last_twenty_are_kept(tmp_path: Path) -> None:
-    desk = service(tmp_path, Running())._desk
+    flights = service(tmp_path, Running())._flights
     for number in range(23):
-        desk.keep_proposal("f", {"plan": {"plan_sha256": f"{number:02d}"}})
+        flights.keep_proposal("f", {"plan": {"plan_sha256": f"{number:02d}"}})
     for number in range(3):
         with pytest.raises(NotFoundError):
-            desk.proposal("f", f"{number:02d}")
-    assert [desk.proposal("f", f"{number:02d}")["plan"]["plan_sha256"] for number in (3, 22)] == ["03", "22"]
+            flights.proposal("f", f"{number:02d}")
+    assert [flights.proposal("f", f"{number:02d}")["plan"]["plan_sha256"] for number in (3, 22)] == ["03", "22"]
 
 
 def test_handovers_that_are_behind_are_judged_no_more() -> None:
