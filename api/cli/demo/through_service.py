@@ -44,13 +44,11 @@ def run(document: Any, wall_s: float) -> None:
         plan = _fetch(service, mission["id"])
         story.say(f"\n{overview(plan)}")
         story.say(f"On the map: {service.address}#mission/{mission['id']}\n")
-        pace = story.Pace.of(plan.mission_time_s, wall_s)
-        for attempt in range(1, story.ATTEMPTS + 1):
-            flight = _fly(service, children, plan, mission["id"], pace)
-            if flight["state"] == "completed" or attempt == story.ATTEMPTS or pace.speedup <= 1.0:
-                break
-            story.say(f"\n{story.too_fast(pace)}")
-            pace = pace.slower()
+        flight = story.fly_until_arrival(
+            story.Pace.of(plan.mission_time_s, wall_s),
+            lambda pace, _: _fly(service, children, plan, mission["id"], pace),
+            lambda flown: flown["state"] == "completed",
+        )
         story.say(_report(plan, flight))
         if flight["state"] == "completed":
             story.say(f"\nArrived. {story.closing(plan)}")
@@ -65,7 +63,9 @@ def _stay(children: Children) -> None:
 
 def _start(children: Children, folder: Path) -> Service:
     port = _free_port()
-    environment = {**story.environment(), "SKYRELAY_DATA_DIR": str(folder)}
+    # The environment as it is, without settings of ours that somebody has set for another service.
+    others = {name: value for name, value in os.environ.items() if not name.startswith("SKYRELAY_")}
+    environment = {**others, "SKYRELAY_DATA_DIR": str(folder)}
     child = children.start(
         "service",
         python_module("api.cli", "serve", f"--port={port}", "--log-level=warning"),
@@ -159,12 +159,12 @@ def _fly(service: Service, children: Children, plan: Plan, mission_id: str, pace
             last = flight["ended_utc"] is not None
             if not launched and flight["phase"] == "ready":
                 launched = True
-                word = {
+                command = {
                     "plan_sha256": plan.plan_sha256,
                     "preflight_id": flight["preflight"]["id"],
                     "by": "skyrelay demo",
                 }
-                service.call("POST", f"{address}/launch", word)
+                service.call("POST", f"{address}/launch", command)
             live = flight["live"]
             if live["station"] is not None:
                 ahead = [live["next_handover"]] if live["next_handover"] else []
