@@ -43,7 +43,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with [bold]skyrelay demo[/bold]: the whole story without hardware. "
-    "Exit codes: 0 done, 2 bad input, 3 infeasible, 4 the flight ended in a contingency, 1 a fault of ours.",
+    "Exit codes: 0 done, 2 bad input, 3 infeasible, 4 the flight ended in a contingency procedure, 1 a fault of ours.",
 )
 
 

@@ -11,7 +11,8 @@ from pydantic import BaseModel
 from api.rest import schemas
 
 DESCRIPTION = """
-Missions for flights that must stay in range of a ground station all the way, relayed from station to station.
+Missions for flights that must keep a C2 link to a ground station (remote pilot station) all the way, handed over from
+station to station.
 
 Send a mission, watch it being planned, fetch the plan, the handover schedule and the setpoints, fly it.
 SI units; degrees for latitude, longitude and course; every altitude says its reference. Every error is an RFC 9457
@@ -20,7 +21,7 @@ problem document whose `errors` say where, what, what is allowed and what to do.
 TAGS = [
     {"name": "missions", "description": "What is to be flown, and how its planning stands."},
     {"name": "plans", "description": "What comes of it: the plan, the schedule, the setpoints."},
-    {"name": "registries", "description": "Stations, vehicles and links known by name."},
+    {"name": "registries", "description": "Stations, vehicles and C2 links known by name."},
     {"name": "flights", "description": "A plan being flown, and the operators' commands to it."},
     {"name": "service", "description": "The service itself."},
 ]

@@ -45,7 +45,7 @@ class FlyOptions:
         list[str],
         typer.Option(
             metavar="[ID=]URL",
-            help="How a station reaches the vehicle; repeat it for each station, or give one URL without ID for all. "
+            help="A station's C2 link to the vehicle; repeat it for each station, or give one URL without ID for all. "
             "Repeated for one station: all are listened to, and one sends until it fails. "
             "udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.",
         ),
@@ -71,7 +71,8 @@ class FlyOptions:
         typer.Option("--rally/--no-rally", help="Upload the mission's safe points as rally points for the flight."),
     ] = True
     fence: Annotated[
-        bool, typer.Option("--fence", help="Lay a fence around the plan and every straight way home, for the flight.")
+        bool,
+        typer.Option("--fence", help="Lay a geofence around the plan and every straight way home, for the flight."),
     ] = False
     signing_key: Annotated[
         str | None, typer.Option(metavar="file:PATH|env:NAME", help="Sign every frame with this 32-byte key.")
@@ -87,8 +88,8 @@ class FlyOptions:
 def run_fly(given: FlyOptions) -> int:
     """Fly a plan: preflight, arm, take off, follow the plan, hand over from station to station, land.
 
-    Ctrl-C in the air asks for the contingency in force; a second one lets go of the vehicle, whose own failsafe then
-    acts. Ends with 4 when the flight did not end as planned.
+    Ctrl-C in the air asks for the contingency procedure in force; a second one lets go of the vehicle, whose own
+    failsafe then acts. Ends with 4 when the flight did not end as planned.
     """
     plan = inputs.plan(given.plan_file)
     request = request_of(
@@ -222,7 +223,7 @@ def held(flight: RunningFlight, progress: Progress) -> Iterator[None]:
 
 
 def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
-    """Until the flight ends. The first Ctrl-C (or SIGTERM) in the air is the word `abort`; any other ends this."""
+    """Until the flight ends. The first Ctrl-C (or SIGTERM) in the air commands `abort`; any other ends this."""
     from gcs.flight import TransitionError
 
     asked = False
@@ -238,7 +239,7 @@ def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
             if asked or dropped or event is None or not event.state.airborne:
                 raise
             asked = True
-            progress.note("flying the contingency; Ctrl-C again lets go of the vehicle")
+            progress.note("flying the contingency procedure; Ctrl-C again lets go of the vehicle")
             try:
                 flight.command("abort", by="Ctrl-C")
             except TransitionError as refusal:
@@ -254,7 +255,7 @@ def conclude(
     as_json: bool = False,
 ) -> None:
     """Print the report; raises `ContingencyError` or `FaultError` where the flight did not end as planned."""
-    from api.cli.commands.flight_view import result_lines
+    from api.cli.commands.flight_view import result_lines, state_text
 
     if result.exit_code == 1:
         raise FaultError("the flight ended by a fault of ours", {"what": result.reason})
@@ -277,7 +278,7 @@ def conclude(
         raise ContingencyError(
             "the flight was refused before take-off", *(paragraphs or [{"what": view.reason or result.reason}])
         )
-    raise ContingencyError(f"the flight ended in {result.state}", {"what": view.reason, "report": report})
+    raise ContingencyError(f"the flight ended in {state_text(result.state)}", {"what": view.reason, "report": report})
 
 
 def _fix(plan: Plan, check: Mapping[str, Any]) -> str | None:

@@ -17,7 +17,7 @@ from api.cli.commands.plan import overview
 from api.cli.console import Progress
 from api.cli.demo import story
 from api.cli.errors import BadInputError, FaultError, InfeasibleError
-from api.cli.rest_client import RefusedError, Service
+from api.cli.rest_client import RefusedError, ServiceClient
 from api.processes import simulator
 from api.processes.children import Children, python_module
 
@@ -61,7 +61,7 @@ def _stay(children: Children) -> None:
         children.sleep(3600.0)
 
 
-def _start(children: Children, folder: Path) -> Service:
+def _start(children: Children, folder: Path) -> ServiceClient:
     port = _free_port()
     # The environment as it is, without settings of ours that somebody has set for another service.
     others = {name: value for name, value in os.environ.items() if not name.startswith("SKYRELAY_")}
@@ -71,7 +71,7 @@ def _start(children: Children, folder: Path) -> Service:
         python_module("api.cli", "serve", f"--port={port}", "--log-level=warning"),
         env=environment,
     )
-    service = Service(f"http://127.0.0.1:{port}/")
+    service = ServiceClient(f"http://127.0.0.1:{port}/")
     deadline = time.monotonic() + _START_S
     while not service.ready():
         child.check()
@@ -94,7 +94,7 @@ def _free_port() -> int:
     raise FaultError("no TCP port can be had on 127.0.0.1")
 
 
-def _plan(service: Service, document: Any) -> dict[str, Any]:
+def _plan(service: ServiceClient, document: Any) -> dict[str, Any]:
     story.say(f"1. Planning: POST {service.address}v1/missions")
     try:
         mission = service.call("POST", "v1/missions", document)
@@ -117,13 +117,13 @@ def _plan(service: Service, document: Any) -> dict[str, Any]:
     return dict(mission)
 
 
-def _fetch(service: Service, mission_id: str) -> Plan:
+def _fetch(service: ServiceClient, mission_id: str) -> Plan:
     from gcs.plan import Plan
 
     return Plan.from_document(service.call("GET", f"v1/missions/{mission_id}/plan"))
 
 
-def _fly(service: Service, children: Children, plan: Plan, mission_id: str, pace: story.Pace) -> dict[str, Any]:
+def _fly(service: ServiceClient, children: Children, plan: Plan, mission_id: str, pace: story.Pace) -> dict[str, Any]:
     """One flight by REST, from the vehicle's entry in the registry to its end; the flight as the service shows it."""
     story.say(f"2. Flying it by REST: a simulated {story.AUTOPILOT} vehicle, {pace.speedup:.0f} times as fast as real")
     child, urls = simulator.start(children, plan, autopilot=story.AUTOPILOT, speedup=pace.speedup)

@@ -70,7 +70,7 @@ def shown(services: Services, record: FlightRecord, *, whole: bool) -> dict[str,
     responses={201: {"model": schemas.FlightDetail, "description": "In preflight; nothing is armed."}},
 )
 def create(services: Wired, body: schemas.NewFlight) -> Response:
-    """Connects to the vehicle over its links and judges it: see `preflight` of the answer's address."""
+    """Connects to the vehicle over its C2 links and judges it: see `preflight` of the answer's address."""
     with shared.domain_errors():
         record = services.store.missions.get(body.mission_id, body.version)
         record = planned(services, body.mission_id, body.version)
@@ -159,7 +159,7 @@ def resume(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand |
     return _command(services, flight_id, Word.RESUME, body)
 
 
-@router.post("/{flight_id}/abort", summary="Fly the contingency in force")
+@router.post("/{flight_id}/abort", summary="Fly the contingency procedure in force")
 def abort(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
     """On the ground: give the flight up."""
     return _command(services, flight_id, Word.ABORT, body)
@@ -220,11 +220,11 @@ def flown_plan(services: Wired, flight_id: FlightId) -> Response:
         return JSONResponse(_flown_plan(services, flight_id, sha256))
 
 
-@router.post("/{flight_id}/handovers/{index}/ready", summary="Stand by to take over")
+@router.post("/{flight_id}/handovers/{index}/ready", summary="Stand by to receive control")
 def ready(
     services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.OperatorCommand | None = None
 ) -> schemas.FlightDetail:
-    """The next station's operator stands by."""
+    """The receiving station's crew stands by."""
     return _command(services, flight_id, Word.READY, body, handover=index)
 
 
@@ -240,7 +240,9 @@ def accept(
 def refuse(
     services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.OperatorCommand | None = None
 ) -> schemas.FlightDetail:
-    """The present station stays in control; the flight waits before the next range, and then flies the contingency."""
+    """The transferring station stays in control; the flight waits before the next range, then flies the contingency
+    procedure.
+    """
     return _command(services, flight_id, Word.REFUSE, body, handover=index)
 
 

@@ -194,7 +194,7 @@ _REGISTRIES = (
         schemas.RegisteredStation,
         schemas.StationEntry,
         _check_station,
-        "A ground station: place, range, people. For missions to be put together from.",
+        "A ground station (remote pilot station): place, range, crew. For missions to be put together from.",
     ),
     _Registry(
         "vehicle",
@@ -202,7 +202,7 @@ _REGISTRIES = (
         schemas.RegisteredVehicle,
         schemas.VehicleEntry,
         _check_vehicle,
-        "A vehicle: its autopilot, and by which link each station reaches it.",
+        "A vehicle: its autopilot, and each station's C2 link to it.",
     ),
     _Registry(
         "link",
@@ -210,7 +210,7 @@ _REGISTRIES = (
         schemas.RegisteredLink,
         schemas.LinkEntry,
         _check_link,
-        "A link: where a station's radio is reached. Named here so that flights need not know addresses.",
+        "A C2 link: where a station's radio is reached. Named here so that flights need not know addresses.",
     ),
 )
 for _registry in _REGISTRIES:

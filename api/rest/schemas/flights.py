@@ -31,12 +31,12 @@ class NewFlight(Closed):
     version: int | None = Field(None, ge=1, le=2**31 - 1, description="Of the mission; default the latest.")
     rate_hz: float | None = Field(None, ge=5, le=100, description="Setpoints a second; default 20.")
     speedup: float | None = Field(None, ge=0.1, le=1000, description="Our simulator at this factor, on loopback alone.")
-    operator_words: bool | None = Field(None, description="Each handover waits for the next operator's `ready`.")
+    operator_words: bool | None = Field(None, description="Each handover waits for the receiving station's `ready`.")
     rally: bool | None = Field(
         None, description="Upload the mission's safe points as rally points for the flight; default true."
     )
     fence: bool | None = Field(
-        None, description="Lay a fence around the plan and every straight way home, for the flight; default false."
+        None, description="Lay a geofence around the plan and every straight way home, for the flight; default false."
     )
     handover_way: Literal["auto", "gate", "range", "parameter", "operator_control"] | None = Field(
         None,
