@@ -28,7 +28,7 @@ from api.cli.errors import (
     FaultError,
     Terminated,
 )
-from api.processes.children import ChildError
+from api.processes import ChildError
 
 __all__ = ["main"]
 

@@ -16,7 +16,7 @@ from api.cli.errors import BadInputError, FaultError
 from api.cli.options import command_of
 
 if TYPE_CHECKING:
-    from api.bench.planner.cases import Case
+    from api.bench.planner import Case
 
 
 def run_bench(asked: PlannerBenchOptions) -> None:
@@ -27,7 +27,7 @@ def run_bench(asked: PlannerBenchOptions) -> None:
     Ends with 1 when a mission that has a plan got none.
     """
     asked.check()
-    from api.bench.planner.scale import SEGMENTS, STATIONS
+    from api.bench.planner import SEGMENTS, STATIONS
 
     chains = _counts("--segments", asked.segments, 2, 1000) or (SEGMENTS if asked.everything else ())
     maps = _counts("--routing", asked.routing, 2, 1_000_000) or (STATIONS if asked.everything else ())
@@ -73,8 +73,7 @@ def _measured(
     asked: PlannerBenchOptions, cases: Sequence[Case], chains: Sequence[int], maps: Sequence[int]
 ) -> dict[str, Any]:
     """Every part of the figures asked for. Raises `BadInputError` where the reference is asked for and not there."""
-    from api.bench.planner import compare
-    from api.bench.planner.cases import DEFAULT_OPTIONS, PAPER_OPTIONS
+    from api.bench.planner import DEFAULT_OPTIONS, PAPER_OPTIONS, compare
 
     reference = not asked.ours_only
     if reference and not compare.reference_available():
@@ -105,7 +104,7 @@ def _planned(
     cases: Sequence[Case], options: dict[str, Any] | None, reference: bool, tell: Callable[[str], None]
 ) -> dict[str, Any]:
     """Each mission planned, with ``options`` in place of its own unless None; beside the paper's if ``reference``."""
-    from api.bench.planner.compare import figures, measure
+    from api.bench.planner import figures, measure
 
     results = []
     for number, case in enumerate(cases, start=1):
@@ -117,8 +116,7 @@ def _planned(
 def _sections(
     for_costs: Sequence[Case], chains: Sequence[int], maps: Sequence[int], seed: int, tell: Callable[[str], None]
 ) -> dict[str, Any]:
-    from api.bench.planner.costs import measure_costs
-    from api.bench.planner.scale import routing_row, segments_row
+    from api.bench.planner import measure_costs, routing_row, segments_row
 
     found: dict[str, Any] = {}
     if chains:
@@ -153,7 +151,7 @@ def _counts(where: str, text: str | None, low: int, high: int) -> tuple[int, ...
 
 
 def _cases(asked: PlannerBenchOptions) -> list[Case]:
-    from api.bench.planner.cases import drawn, fixed
+    from api.bench.planner import drawn, fixed
 
     cases = drawn(asked.random, asked.seed) if asked.random else fixed(_documents(asked.missions), quick=asked.quick)
     known = {case.name for case in cases}

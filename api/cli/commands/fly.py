@@ -283,7 +283,7 @@ def conclude(
 
 def _fix(plan: Plan, check: Mapping[str, Any]) -> str | None:
     """What to do about a finding of the preflight, in terms of the command line."""
-    from api.processes.simulator import home_under
+    from api.processes import home_under
 
     if check["name"] == "transit":
         return f"{check.get('fix')}; a simulator is put there with --home {home_under(plan)}"

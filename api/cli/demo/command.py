@@ -16,9 +16,7 @@ from api.cli.commands.plan import overview
 from api.cli.console import Progress
 from api.cli.demo import story
 from api.cli.errors import BadInputError, FaultError
-from api.processes import simulator
-from api.processes.children import Children
-from api.processes.quick_mission import QUICK_MISSION
+from api.processes import QUICK_MISSION, Children, start_simulator
 
 if TYPE_CHECKING:
     from api.cli.commands.flight_view import FlightView
@@ -104,7 +102,7 @@ def _by_itself(document: Any, name: str, wall_s: float) -> None:
 def _attempt(plan: Plan, children: Children, pace: story.Pace, log: str) -> tuple[FlightResult, FlightView]:
     how = f"a simulated {story.AUTOPILOT} vehicle, {pace.speedup:.0f} times as fast as real, a link a station"
     story.say(f"2. Flying it: {how}")
-    child, links = simulator.start(children, plan, autopilot=story.AUTOPILOT, speedup=pace.speedup)
+    child, links = start_simulator(children, plan, autopilot=story.AUTOPILOT, speedup=pace.speedup)
     request = fly.request_of(
         plan, links=links, autopilot=story.AUTOPILOT, rate_hz=pace.rate_hz, speedup=pace.speedup, log_path=log
     )

@@ -18,8 +18,7 @@ from api.cli.console import Progress
 from api.cli.demo import story
 from api.cli.errors import BadInputError, FaultError, InfeasibleError
 from api.cli.rest_client import RefusedError, ServiceClient
-from api.processes import simulator
-from api.processes.children import Children, python_module
+from api.processes import Children, python_module, start_simulator
 
 if TYPE_CHECKING:
     from gcs.plan import Plan
@@ -126,7 +125,7 @@ def _fetch(service: ServiceClient, mission_id: str) -> Plan:
 def _fly(service: ServiceClient, children: Children, plan: Plan, mission_id: str, pace: story.Pace) -> dict[str, Any]:
     """One flight by REST, from the vehicle's entry in the registry to its end; the flight as the service shows it."""
     story.say(f"2. Flying it by REST: a simulated {story.AUTOPILOT} vehicle, {pace.speedup:.0f} times as fast as real")
-    child, urls = simulator.start(children, plan, autopilot=story.AUTOPILOT, speedup=pace.speedup)
+    child, urls = start_simulator(children, plan, autopilot=story.AUTOPILOT, speedup=pace.speedup)
     for station, url in urls.items():
         service.call("PUT", f"v1/links/{quote(station)}", {"url": url, "description": "simulated radio"})
     vehicle = {"autopilot": story.AUTOPILOT, "links": {s: s for s in urls}, "name": "Simulated medical drone"}

@@ -16,8 +16,7 @@ from api.rest.problems import ApiError
 from api.rest.routes import shared
 from api.rest.routes.plans import planned
 from api.rest.routes.shared import Cursor, Limit, MissionId
-from api.service.flight_status import FlightStatus, outer_state
-from api.service.services import Services
+from api.service import FlightStatus, Services, outer_state
 from gcs.flight import Word
 from gcs.store import FlightRecord
 

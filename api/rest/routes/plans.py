@@ -13,7 +13,7 @@ from api.rest.dependencies import Wired
 from api.rest.problems import ConflictError, UnprocessableError
 from api.rest.routes import missions, shared
 from api.rest.routes.shared import MissionId, Version
-from api.service.services import Services
+from api.service import Services
 from gcs.exports import FORMATS as HANDOVER_FORMATS
 from gcs.exports import export_handovers, parse_launch
 from gcs.store import MissionRecord

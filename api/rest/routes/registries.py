@@ -15,7 +15,7 @@ from api.rest.dependencies import Wired
 from api.rest.problems import NotFoundError, UnprocessableError
 from api.rest.routes import shared
 from api.rest.routes.shared import Limit
-from api.service.services import Services
+from api.service import Services
 from gcs.store import Entry
 from link.errors import EndpointUrlError
 from link.transport import parse_url

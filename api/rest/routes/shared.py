@@ -17,7 +17,7 @@ from api.rest.problems import (
     UnprocessableError,
     domain_faults,
 )
-from api.service.errors import ReplanError, ReplanFailedError, ReplanInfeasibleError, StillStoppingError
+from api.service import ReplanError, ReplanFailedError, ReplanInfeasibleError, StillStoppingError
 from gcs import errors as gcs_errors
 from gcs.flight import TransitionError
 from gcs.store import Idempotency
