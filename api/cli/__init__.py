@@ -15,10 +15,10 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from api.cli.bench import command as bench
+from api.cli.bench import command as bench_command
 from api.cli.commands import flight, fly, handovers, plan, report, serve, setpoints, simulate
-from api.cli.demo import command as demo
-from api.cli.doctor import machine as doctor
+from api.cli.demo import command as demo_command
+from api.cli.doctor import machine as doctor_command
 from api.cli.errors import (
     EXIT_BAD_INPUT,
     EXIT_FAULT,
@@ -72,10 +72,10 @@ for _panel, _module in (
     ("Fly", flight),
     ("Fly", simulate),
     ("Fly", report),
-    ("Run", demo),
+    ("Run", demo_command),
     ("Run", serve),
-    ("Check", bench),
-    ("Check", doctor),
+    ("Check", bench_command),
+    ("Check", doctor_command),
 ):
     _module.register(app, _panel)
 
