@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.coverage.window import Stations, held_s, leaves_s
 from planner.errors import ProblemError
 from planner.problem import Problem
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 CONTINUITY_TOLERANCE = 1e-9
 
@@ -140,7 +138,7 @@ def _overlap_excess_s(problem: Problem, trajectory: Trajectory) -> float:
     return missing_s
 
 
-def _stations(problem: Problem, which: NDArray[np.int64]) -> Stations:
+def _stations(problem: Problem, which: Indices) -> Stations:
     angles = problem.min_elevation_deg
     return Stations(
         problem.station_positions_m[which], problem.ranges_m[which], None if angles is None else angles[which]
@@ -157,7 +155,7 @@ def _elevation_excess_m(problem: Problem, trajectory: Trajectory) -> float:
     return float(_below_cone_m(problem, trajectory.control_points_m, trajectory.station_index[:, None]).max())
 
 
-def _below_cone_m(problem: Problem, points_m: Array, station: NDArray[np.int64]) -> Array:
+def _below_cone_m(problem: Problem, points_m: Array, station: Indices) -> Array:
     """Metres each of ``points_m`` ``(..., 3)`` is below the cone of its ``station`` ``(...)``; -inf without one."""
     assert problem.min_elevation_deg is not None
     angle = problem.min_elevation_deg[station]

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.errors import ProblemError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ class Problem:
         """Number of stations ``M``."""
         return len(self.ranges_m)
 
-    def covers(self, position_m: Array, *, slack_m: float = 0.0) -> NDArray[np.int64]:
+    def covers(self, position_m: Array, *, slack_m: float = 0.0) -> Indices:
         """Indices of the stations whose ball holds ``position_m`` ``(3,)``, given ``slack_m`` of extra range."""
         distance = np.linalg.norm(self.station_positions_m - position_m, axis=1)
         return np.flatnonzero(distance <= self.ranges_m + slack_m)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.problem import Limits
 
 
@@ -60,9 +60,6 @@ def _top_speed_m_s(limits: Limits) -> float:
     if limits.max_airspeed_m_s is None:
         return limits.max_speed_m_s
     return min(limits.max_speed_m_s, limits.max_airspeed_m_s + float(np.hypot(*limits.wind_m_s)))
-
-
-Array = NDArray[np.float64]
 
 
 def speed_profile(speed: Array, length: Array, accel: float) -> Array:

@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags, Indices
 from planner.corridor.cone_program import ConeProgram
 from planner.corridor.corridor import Corridor
 from planner.coverage.overlap import MIN_LENS_M, lens_depth_m, lens_point_m
 from planner.errors import Infeasibility, InfeasibleError
 from planner.infeasibility.diagnosis import broken_pair
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
 
 RANGE_SHRINK = 1e-7
 BAND_SHRINK_M = 1e-6
@@ -35,7 +33,7 @@ class Refuges:
 
     points_m: Array
     slack_m: Array
-    thin: NDArray[np.bool_]
+    thin: Flags
     shrink_m: Array
 
 
@@ -50,7 +48,7 @@ def find_refuges(problem: Problem, corridor: Corridor) -> Refuges:
     return Refuges(points, slack, thin, np.minimum(shrink, 0.25 * np.maximum(slack, 0.0)))
 
 
-def alike(corridor: Corridor) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def alike(corridor: Corridor) -> list[tuple[Indices, Indices]]:
     """Joints with equally many balls, to be looked at together: which ``(j,)``, from 0, and their balls ``(j, b)``."""
     balls = [corridor.joint_balls(joint) for joint in range(1, len(corridor))]
     counts = np.array([len(stations) for stations in balls], dtype=np.int64)
@@ -58,7 +56,7 @@ def alike(corridor: Corridor) -> list[tuple[NDArray[np.int64], NDArray[np.int64]
     return [(joints, np.array([balls[k] for k in joints], dtype=np.int64)) for joints in groups]
 
 
-def slack_m(problem: Problem, balls: tuple[int, ...] | NDArray[np.int64], point_m: Array) -> Array:
+def slack_m(problem: Problem, balls: tuple[int, ...] | Indices, point_m: Array) -> Array:
     """Range left at ``point_m`` ``(..., 3)`` to the tightest of its ``balls`` ``(..., b)``; the band apart.
 
     Elevation cones count too. Shape ``(...)``.
@@ -74,7 +72,7 @@ def slack_m(problem: Problem, balls: tuple[int, ...] | NDArray[np.int64], point_
     return np.asarray(left.min(axis=-1))
 
 
-def _deepest_points_m(problem: Problem, balls: NDArray[np.int64]) -> Array:
+def _deepest_points_m(problem: Problem, balls: Indices) -> Array:
     """``(j, 3)``: for every joint the point with the most range left to all its ``balls`` ``(j, b)``."""
     if balls.shape[1] > 2:
         return np.array([_chebyshev_point_m(problem, tuple(stations)) for stations in balls.tolist()])
@@ -123,7 +121,7 @@ def _chebyshev_point_m(problem: Problem, balls: tuple[int, ...]) -> Array:
     return point
 
 
-def _lift(problem: Problem, balls: NDArray[np.int64], points_m: Array) -> tuple[Array, Array]:
+def _lift(problem: Problem, balls: Indices, points_m: Array) -> tuple[Array, Array]:
     """``points_m`` ``(j, 3)`` moved off the edges of the band as far as at least half their slack to ``balls`` remains.
 
     Returns them with their slack ``(j,)``.

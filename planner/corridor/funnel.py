@@ -15,9 +15,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.arrays import Array
+
 Point = tuple[float, float]
 
 

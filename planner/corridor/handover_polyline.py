@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.corridor.chebyshev import find_refuges
 from planner.corridor.corridor import Corridor, build_corridor
 from planner.corridor.funnel import pull_tight
@@ -21,8 +21,6 @@ from planner.corridor.polyline_program import polyline_length_m, shortest_polyli
 from planner.coverage.chord import Chords, chords, leaves_after, leg_times_s
 from planner.problem import Problem, priced
 from planner.speed_profile import fastest_time_s
-
-Array = NDArray[np.float64]
 
 # How far out on its half of a chord a handover may be.
 OUTERMOST = 1.0 - 1e-6
@@ -66,18 +64,18 @@ def _plain(problem: Problem, sequence: Sequence[int]) -> Corridor:
     return build_corridor(replace(problem, min_overlap_s=0.0, min_tenure_s=0.0), sequence)
 
 
-def _lifted(problem: Problem, stations: NDArray[np.int64], lens: Chords, flat: Array) -> Array:
+def _lifted(problem: Problem, stations: Indices, lens: Chords, flat: Array) -> Array:
     """The polyline of the handovers ``flat`` ``(E, 2)``, seen from above."""
     inner = np.column_stack([flat, _altitudes(problem, stations, lens, flat)])
     return np.concatenate([problem.start_m[None], inner, problem.destination_m[None]])
 
 
-def _best_on_grid(problem: Problem, stations: NDArray[np.int64], lens: Chords) -> tuple[Array, float]:
+def _best_on_grid(problem: Problem, stations: Indices, lens: Chords) -> tuple[Array, float]:
     """Dynamic programming: where every handover is, seen from above, and the time expected at full speed otherwise."""
     layers = lens.lens_points(ALONG, ACROSS)
     centres = problem.station_positions_m[:, :2]
     cost = np.zeros(1)
-    choices: list[NDArray[np.int64]] = []
+    choices: list[Indices] = []
     points = [problem.start_m[None, :2], *layers, problem.destination_m[None, :2]]
     for leg in range(len(stations)):
         p, q = points[leg][:, None], points[leg + 1][None]
@@ -99,7 +97,7 @@ def _best_on_grid(problem: Problem, stations: NDArray[np.int64], lens: Chords) -
     return best, float(cost[0])
 
 
-def _altitudes(problem: Problem, stations: NDArray[np.int64], lens: Chords, flat: Array) -> Array:
+def _altitudes(problem: Problem, stations: Indices, lens: Chords, flat: Array) -> Array:
     """Altitudes of the handovers: on the line from start to destination where both ranges allow, else nearest to it."""
     ends = np.concatenate([problem.start_m[None, :2], flat, problem.destination_m[None, :2]])
     travelled = np.cumsum(np.linalg.norm(np.diff(ends, axis=0), axis=1))

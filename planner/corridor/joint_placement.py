@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.arrays import Array
 from planner.corridor.corridor import Corridor, Piece
 from planner.problem import Problem
-from planner.speed_profile import Array, speed_profile
+from planner.speed_profile import speed_profile
 
 # How much more an acceleration phase counts than cruising.
 CHANGE_WEIGHT = 5.0

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags
 from planner.corridor.corridor import Corridor
 from planner.problem import Limits, Problem
 from planner.trajectory import DEGREE
-
-Array = NDArray[np.float64]
 
 # Kept free of rounding when a trajectory is moved from one computation to the next.
 GUARD_M = 1e-8
@@ -69,7 +67,7 @@ class CorridorCheck:
         ratios = self.ratios(points_m, durations_s)
         return np.asarray(np.maximum(np.maximum(ratios[0], np.sqrt(ratios[1])), np.cbrt(ratios[2])))
 
-    def holds(self, points_m: Array, durations_s: Array) -> NDArray[np.bool_]:
+    def holds(self, points_m: Array, durations_s: Array) -> Flags:
         """``(S,)``: which pieces keep every constraint, a guard against rounding included."""
         inside = (self.place_excess_m(points_m) <= -self._guard_m).all(axis=1)
         return np.asarray(inside & (self.ratios(points_m, durations_s) <= 1.0).all(axis=0))

@@ -8,15 +8,13 @@ The joints are unknown as offsets from their refuges, in units of the mean range
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.corridor.chebyshev import BAND_SHRINK_M, Refuges, alike, find_refuges, slack_m
 from planner.corridor.cone_program import ConeProgram
 from planner.corridor.corridor import Corridor
 from planner.errors import SolverError
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
 
 
 def shortest_polyline(
@@ -67,9 +65,7 @@ def polyline_length_m(waypoints_m: Array) -> float:
     return float(np.linalg.norm(np.diff(waypoints_m, axis=0), axis=1).sum())
 
 
-def _solve(
-    problem: Problem, corridor: Corridor, refuges: Refuges, free: NDArray[np.int64], weights: Array | None
-) -> Array:
+def _solve(problem: Problem, corridor: Corridor, refuges: Refuges, free: Indices, weights: Array | None) -> Array:
     """The free joints ``(F, 3)``; thin ones stay at their refuge."""
     pieces, limits = len(corridor), problem.limits
     unit = float(problem.ranges_m[list(corridor.sequence)].mean())

@@ -13,14 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.coverage.disc import disc_radius_m
 from planner.coverage.overlap import lens_altitude_m
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

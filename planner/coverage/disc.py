@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags, Indices
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _ALL = slice(None)
 
@@ -23,7 +20,7 @@ def altitude_span_m(problem: Problem, station: int | Indices | slice = _ALL) -> 
     return np.maximum(limits.min_alt_m, floor), np.minimum(limits.max_alt_m, height + reach)
 
 
-def usable_stations(problem: Problem) -> NDArray[np.bool_]:
+def usable_stations(problem: Problem) -> Flags:
     """``(M,)``: which stations cover any point of the altitude band at all."""
     low, high = altitude_span_m(problem)
     return low <= high

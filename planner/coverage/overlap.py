@@ -17,14 +17,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.arrays import Array, Indices
 from planner.coverage.disc import altitude_span_m, disc_radius_m, usable_stations
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 __all__ = [
     "MIN_LENS_M",

@@ -13,13 +13,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import bezier
+from planner.arrays import Array, Flags, Indices
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # An excursion of less than this is rounding: a vehicle that rides along the very edge of a range stays inside it.
 SLACK_M = 1e-6
@@ -131,7 +128,7 @@ def held_s(trajectory: Trajectory, stations: Stations, first: Indices, *, ahead:
     return held
 
 
-def _segments(at: Indices, step: int, count: int, *, ahead: bool) -> tuple[Indices, NDArray[np.bool_]]:
+def _segments(at: Indices, step: int, count: int, *, ahead: bool) -> tuple[Indices, Flags]:
     """The next segments ``(W, _STRIDE)`` of walks that began at ``at`` ``(W,)``, and which of them there are."""
     steps = np.arange(step, step + _STRIDE)
     segment = at[:, None] + (steps if ahead else -steps)
@@ -175,7 +172,7 @@ class _Walk:
                 break
         return np.where(outside, np.nan, result)
 
-    def _may_leave(self, walks: Indices, segment: Indices) -> NDArray[np.bool_]:
+    def _may_leave(self, walks: Indices, segment: Indices) -> Flags:
         """False where a segment's control points prove that it stays inside."""
         offset = self._trajectory.control_points_m[segment] - self._at[walks][:, None, None]
         beyond = (offset * offset).sum(axis=-1).max(axis=-1) > (self._range[walks] ** 2)[:, None]

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.corridor.corridor import Corridor, build_corridor
 from planner.corridor.polyline_program import settled
 from planner.errors import SolverError
@@ -23,8 +23,6 @@ from planner.paper.station_graph import check_sequence, shortest_sequence
 from planner.problem import Problem
 from planner.solution import Solution
 from planner.trajectory import DEGREE
-
-Array = NDArray[np.float64]
 
 
 def shortest_polyline_cvxpy(problem: Problem, corridor: Corridor) -> Array:

@@ -24,8 +24,8 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.corridor.cone_program import ConeProgram
 from planner.coverage.disc import covering_stations
 from planner.coverage.overlap import adjacent_pairs
@@ -34,8 +34,6 @@ from planner.problem import Problem
 from planner.routing.bound import radii_seen_from_above
 from planner.speed_profile import fastest_time_s
 from planner.trajectory import DEGREE
-
-Array = NDArray[np.float64]
 
 # What the shortest polyline may be too long by: it is a solver's answer, to a tolerance.
 _POLYLINE_EXCESS = 1e-6
@@ -267,7 +265,7 @@ class _Polyline:
         return float(self._cost @ self._program.solve())
 
 
-def _pattern(joints: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _pattern(joints: int) -> tuple[Indices, Indices]:
     """Rows and columns of A: unknown are the joints (x, y, x, y, ...) and then the length of every piece."""
     pieces = joints + 1
     k = np.arange(joints)

@@ -28,12 +28,9 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import bezier
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from planner.arrays import Array, Indices
 
 # The eight vectors of a piece: the joint before, the joint after, the inner two.
 W, V, A, W1, V1, A1, K1, K2 = range(8)

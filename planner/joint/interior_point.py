@@ -14,14 +14,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from planner.arrays import Array
 from planner.joint.newton import NewtonSystem, Step
 from planner.joint.objective import Objective
 from planner.joint.transcription import Point, ShootingProblem
-
-Array = NDArray[np.float64]
 
 # Filter constants of Waechter and Biegler 2006, section 2.3.
 _GAMMA = 1e-5

@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from planner.arrays import Array, Indices
 from planner.joint.control_rows import VECTOR_DIMENSION, Table, product
 from planner.joint.objective import Objective
 from planner.joint.transcription import (
@@ -26,9 +26,6 @@ from planner.joint.transcription import (
     solve_inner_transposed,
     sum_over_rows,
 )
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # A piece's unknowns that neighbours share: nine of the joint before, T, nine of the joint after.
 JOINT = 19

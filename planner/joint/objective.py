@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.joint.control_rows import GAUSS_WEIGHTS, Table
 from planner.joint.transcription import FIRST_AXIS, SECOND_AXIS, Point
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags, Indices
 from planner.corridor.corridor import Corridor
 from planner.coverage.overlap import lens_depth_m
 from planner.joint import control_rows
@@ -15,8 +16,6 @@ from planner.joint.transcription import HeightConstraints, NormConstraints, Shoo
 from planner.problem import Problem
 from planner.speed_profile import speed_profile
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # Relative shrinking of every limit, well above the violation the solver leaves and far below anything that matters.
 SHRINK = 1e-7
@@ -139,7 +138,7 @@ class _NormBuilder:
         weight: Array | None = None,
         time_radius: float = 0.0,
         scale: Array | float | None = None,
-        active: NDArray[np.bool_] | None = None,
+        active: Flags | None = None,
     ) -> None:
         """All values broadcast over the pieces; ``active`` says for which of them the constraint is there."""
         chosen = self.all if active is None else np.flatnonzero(active)
@@ -211,9 +210,9 @@ def _add_elevation(
     problem: Problem,
     scale: Scale,
     row: int,
-    station: NDArray[np.int64],
+    station: Indices,
     centre: Array,
-    active: NDArray[np.bool_],
+    active: Flags,
 ) -> None:
     """Cones above stations: tan^2(elevation) |horizontal|^2 <= height^2; `_heights` keeps the height positive."""
     assert problem.min_elevation_deg is not None

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.corridor.corridor import Corridor
 from planner.corridor.joint_placement import spread_waypoints
 from planner.errors import SolverError
@@ -23,8 +23,6 @@ from planner.joint.program import Scale, build_program, feasibility_of, first_gu
 from planner.joint.transcription import ShootingProblem
 from planner.problem import Problem
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 __all__ = ["CorridorSolution", "solve_corridor", "spread_waypoints"]
 

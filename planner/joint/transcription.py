@@ -18,12 +18,9 @@ from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags, Indices
 from planner.joint.control_rows import A1, SOLVE_INNER, V1, VECTORS, W1, A, Table, V, W, product
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Entries (first axis, second axis) of a symmetric 3 x 3 matrix, kept as six numbers, its diagonal first.
 FIRST_AXIS, SECOND_AXIS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
@@ -124,7 +121,7 @@ class ShootingProblem:
         height_matrix = (6 * h.rows + THIRD_SQUARED) * self.pieces + h.pieces
         self._matrix_index = np.concatenate([norm_matrix.ravel(), height_matrix])
 
-    def _constant_rows(self, axes: slice = slice(None)) -> NDArray[np.bool_]:
+    def _constant_rows(self, axes: slice = slice(None)) -> Flags:
         """``(R, K)``: rows that no unknown moves, as seen in some ``axes`` alone."""
         constant = np.zeros((self.rows, self.pieces), dtype=bool)
         for piece in {0, self.pieces - 1}:
@@ -264,7 +261,7 @@ class ShootingProblem:
         return limited
 
 
-def _select(constraints: _Constraints, kept: NDArray[np.bool_]) -> _Constraints:
+def _select(constraints: _Constraints, kept: Flags) -> _Constraints:
     return type(constraints)(*(getattr(constraints, field.name)[..., kept] for field in fields(constraints)))
 
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.certificate import certify
 from planner.corridor.chebyshev import Refuges, find_refuges
 from planner.corridor.corridor import Corridor, build_corridor
@@ -28,7 +28,6 @@ from planner.problem import Problem
 from planner.solution import Solution
 from planner.trajectory import Trajectory
 
-Array = NDArray[np.float64]
 Clock = Callable[[], float]
 
 # The gain of an iteration halves and halves; far beyond any use.

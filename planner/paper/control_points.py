@@ -12,8 +12,8 @@ Lengths are in units of the mean range and times in units of the mean duration a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.corridor.chebyshev import BAND_SHRINK_M, Refuges
 from planner.corridor.cone_program import ConeProgram
 from planner.corridor.corridor import Corridor
@@ -21,8 +21,6 @@ from planner.paper.boundary import CONTROL_FROM_BOUNDARY, rest_at
 from planner.paper.cone_rows import ConeLayout
 from planner.paper.initial import initial_durations
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
 
 _VELOCITY = np.diff(CONTROL_FROM_BOUNDARY, axis=0)
 _ACCELERATION = np.diff(_VELOCITY, axis=0)

@@ -8,15 +8,13 @@ corridor asks for is met by taking longer: a piece of no length hovers.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.corridor.corridor import Corridor
 from planner.corridor.limit_check import speed_ratio
 from planner.paper.boundary import shortest_piece_s
 from planner.problem import Problem
 from planner.trajectory import DEGREE
-
-Array = NDArray[np.float64]
 
 
 def initial_durations(problem: Problem, corridor: Corridor, waypoints_m: Array) -> Array:

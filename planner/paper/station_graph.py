@@ -11,18 +11,15 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from planner.arrays import Array, Indices
 from planner.coverage.disc import covering_stations
 from planner.coverage.overlap import MIN_LENS_M, adjacent_pairs, lens_depth_m
 from planner.errors import Infeasibility, InfeasibleError, ProblemError
 from planner.infeasibility.diagnosis import broken_pair, diagnose
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def shortest_sequence(problem: Problem) -> tuple[int, ...]:

@@ -14,16 +14,14 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from planner.arrays import Array, Flags, Indices
 from planner.coverage.overlap import neighbours_within
 from planner.problem import Problem
 from planner.routing.navmesh import NavigationMesh, ShortestPath
 from planner.speed_profile import fastest_time_s
-
-Array = NDArray[np.float64]
 
 # What rounding may have added to a length; taken off, so that the bound stays one.
 ROUNDING = 1e-9
@@ -186,9 +184,7 @@ def _centre_path_m(start: Array, end: Array, centres: Array, radii: Array) -> fl
     return float(dijkstra(graph, directed=False, indices=count)[count + 1])
 
 
-def graph_with_ends(
-    count: int, pairs: NDArray[np.int64], weights: Array, ends: Sequence[tuple[NDArray[np.int64], Array]]
-) -> csr_array:
+def graph_with_ends(count: int, pairs: Indices, weights: Array, ends: Sequence[tuple[Indices, Array]]) -> csr_array:
     """An undirected graph over ``count`` stations with edges ``pairs`` ``(E, 2)`` of ``weights`` ``(E,)``.
 
     Each of ``ends``, its stations and what the way to each weighs, is one node more: ``count``, ``count + 1``, ...
@@ -204,9 +200,9 @@ def graph_with_ends(
     return csr_array((positive, (np.concatenate(rows), np.concatenate(columns))), shape=(size, size))
 
 
-def _within_reach(problem: Problem, centres: Array, radii: Array, upper_length_m: float) -> NDArray[np.bool_]:
+def _within_reach(problem: Problem, centres: Array, radii: Array, upper_length_m: float) -> Flags:
     """Discs that a path of ``upper_length_m`` from start to destination can touch."""
     start, end = problem.start_m[:2], problem.destination_m[:2]
     around = np.linalg.norm(centres - start, axis=1) + np.linalg.norm(centres - end, axis=1)
-    near: NDArray[np.bool_] = around - 2.0 * radii <= upper_length_m * (1.0 + 1e-9)
+    near: Flags = around - 2.0 * radii <= upper_length_m * (1.0 + 1e-9)
     return near

@@ -10,17 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from planner.arrays import Array, Indices
 from planner.coverage.chord import chords, leaves_after, leg_times_s
 from planner.coverage.disc import covering_stations
 from planner.coverage.overlap import adjacent_pairs
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Where on half a chord its portals lie: the outer ones are kept a little inside the lens.
 CHORD_FRACTIONS = {1: (0.0,), 3: (-0.999, 0.0, 0.999), 5: (-0.999, -0.5, 0.0, 0.5, 0.999)}

@@ -12,10 +12,10 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from planner.arrays import Array, Indices
 from planner.coverage.chord import leg_times_s
 from planner.coverage.disc import covering_stations, disc_radius_m
 from planner.coverage.overlap import MIN_LENS_M, AdjacentPairs, adjacent_pairs, lens_depth_m
@@ -24,9 +24,6 @@ from planner.infeasibility.diagnosis import diagnose
 from planner.problem import Problem, priced
 from planner.routing.bound import LowerBound, graph_with_ends, lower_bound
 from planner.routing.portal_graph import CHORD_FRACTIONS, MAX_LEGS, PortalGraph, Route, legs_of
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 __all__ = [
     "MIN_LENS_M",
