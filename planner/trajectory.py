@@ -12,6 +12,8 @@ from planner import bezier
 from planner.arrays import Array, Indices
 from planner.errors import ProblemError
 
+# Degree of the pieces that this planner makes, as in the paper: position, velocity and acceleration at both ends fix a
+# piece. `Trajectory` itself takes any degree.
 DEGREE = 5
 
 

@@ -1,7 +1,7 @@
 """P4 and P5 written down as the paper writes them, in cvxpy: what the direct assembly is held against.
 
-Here every control point is an unknown and continuity is a constraint; the programs in ``waypoints`` and
-``control_points`` know only the joints. Needs cvxpy (the optional extra ``bench``); imported when called.
+Here every control point is an unknown and continuity is a constraint; `planner.corridor.polyline_program` and
+`planner.paper.control_points` know only the joints. Needs cvxpy (the optional extra ``bench``); imported when called.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def plan_paper_cvxpy(
     method = AlternatingMinimisation(problem, corridor)
     program = ControlPointReference(problem, corridor)
     polyline = shortest_polyline_cvxpy(problem, corridor)
-    method.restart_from(settled(problem, corridor, method.refuges, polyline[1:-1]))
+    method.restart_from(settled(problem, corridor, method.centres, polyline[1:-1]))
     iterations, gain, notes = 0, math.inf, []
     if record is not None:
         record.append(method.snapshot(0, clock() - started))

@@ -78,7 +78,7 @@ def plan_by_rival(
         raise ProblemError(f"no rival called {rival!r}; there are {', '.join(RIVALS)}")
     if time_limit_s is None and max_evaluations is None:
         raise ProblemError("a rival needs a time limit or a number of evaluations to stop at")
-    if problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any():
+    if not problem.starts_at_rest:
         raise ProblemError("the rivals start from rest, as in the paper")
     minimise = _gradient_descent if rival == "BGD" else _nlopt(NLOPT_ALGORITHMS[rival])
     stations = shortest_sequence(problem) if sequence is None else check_sequence(problem, sequence)

@@ -77,7 +77,7 @@ class Objective:
         return np.asarray(even[1:] - even[:-1])
 
     def row_gradient(self, at: Point) -> Array:
-        """Gradient by the rows at the nodes, velocities first, divided by T: ``(8, 3, K)``."""
+        """Gradient by the control-point rows at the nodes, velocities first, divided by T: ``(8, 3, K)``."""
         velocity, acceleration = self._nodes(at)
         weight = self.energy_weight * GAUSS_WEIGHTS[:, None, None]
         fast = np.sqrt((velocity * velocity).sum(1, keepdims=True))

@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from planner.arrays import Array, Flags, Indices
+from planner.coverage.elevation_mask import ElevationMask
 from planner.coverage.overlap import neighbours_within
 from planner.problem import Problem
 from planner.routing.navmesh import NavigationMesh, ShortestPath
@@ -60,7 +61,7 @@ def lower_bound(problem: Problem, *, max_expansions: int = 1_000_000, upper_leng
     straight = float(np.linalg.norm(offset))
     length, path, exact = straight, None, False
     if problem.station_count <= MAX_MESH_STATIONS:
-        centres, radii = discs_seen_from_above(
+        centres, radii = planar_discs(
             problem, problem.ranges_m if problem.bound_ranges_m is None else problem.bound_ranges_m
         )
         found = _shortest_path(problem, centres, radii, max_expansions, upper_length_m)
@@ -70,31 +71,28 @@ def lower_bound(problem: Problem, *, max_expansions: int = 1_000_000, upper_leng
     return LowerBound(max(_times_s(problem, length, offset)), length, path, exact)
 
 
-def discs_seen_from_above(problem: Problem, ranges_m: Array) -> tuple[Array, Array]:
+def planar_discs(problem: Problem, ranges_m: Array) -> tuple[Array, Array]:
     """Largest cross-section of each station's ball in the band: centres ``(M', 2)``, radii ``(M',)``.
 
     An elevation mask e takes away what lies below its cone: then the widest place is at h + R sin e. Stations that
     do not reach the band are left out.
     """
-    radii = radii_seen_from_above(problem, ranges_m)
+    radii = planar_radii_m(problem, ranges_m)
     reach = radii >= 0
     return problem.station_positions_m[reach, :2], radii[reach]
 
 
-def radii_seen_from_above(problem: Problem, ranges_m: Array) -> Array:
+def planar_radii_m(problem: Problem, ranges_m: Array) -> Array:
     """Radius of each station's largest cross-section in the band ``(M,)``; minus one where it does not reach it."""
     height = problem.station_positions_m[:, 2]
     low, high = problem.limits.min_alt_m, problem.limits.max_alt_m
-    if problem.min_elevation_deg is None:
+    mask = ElevationMask.of(problem)
+    if mask is None:
         widest = np.clip(height, low, high)
         cone = np.full(len(height), inf)
     else:
-        limited = problem.min_elevation_deg >= 0.0
-        elevation = np.radians(np.maximum(problem.min_elevation_deg, 0.0))
-        widest = np.clip(height + ranges_m * np.sin(elevation), low, high)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cone = np.where(elevation > 0, (widest - height) / np.tan(elevation), inf)
-        cone[limited & (widest < height)] = -1.0
+        widest = np.clip(height + ranges_m * np.sin(mask.angle_rad), low, high)
+        cone = np.where(mask.limited & (widest < height), -1.0, mask.reach_m(widest - height))
     square = ranges_m**2 - (widest - height) ** 2
     radii = np.minimum(np.sqrt(np.maximum(square, 0.0)), cone)
     return np.where((square >= 0) & (radii >= 0), radii, -1.0)

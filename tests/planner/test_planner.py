@@ -187,8 +187,8 @@ def test_one_station_straight_ahead() -> None:
 
 @pytest.mark.parametrize("options", [{}, {"min_overlap_s": 5.0, "min_tenure_s": 10.0}])
 @pytest.mark.parametrize("depth_m", [1.5e-3, 0.1, 10.0])
-def test_tiny_lenses_are_stopped_in(depth_m: float, options: dict[str, float]) -> None:
-    """Two ranges that barely meet at 100 m, antennas there: a vehicle can wait in a lens of a millimetre."""
+def test_tiny_overlaps_are_stopped_in(depth_m: float, options: dict[str, float]) -> None:
+    """Two ranges that barely meet at 100 m, antennas there: a vehicle can wait in an overlap of a millimetre."""
     stations = [[0, 0, 100, 1000], [2000 - depth_m, 0, 100, 1000]]
     problem = make_problem([0, 300, 100], [2000, 300, 110], stations, **options)
     assert_sound(problem, Planner().plan(problem))
@@ -227,7 +227,7 @@ def test_huge_ranges_and_far_from_the_origin() -> None:
 
 @st.composite
 def chains(draw: st.DrawFn) -> Problem:
-    """A chain of stations on hills and plains whose lenses are at least a few millimetres deep."""
+    """A chain of stations on hills and plains whose overlaps are at least a few millimetres deep."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(1, 5))
     scale = 10.0 ** draw(st.floats(2.0, 5.0))
@@ -272,7 +272,7 @@ def chains(draw: st.DrawFn) -> Problem:
 @settings(max_examples=40)
 @given(chains())
 def test_every_chain_gets_a_plan_or_a_reason(problem: Problem) -> None:
-    """Hills, thin lenses, odd limits: planned and certified exactly when nothing is wrong with the ranges."""
+    """Hills, thin overlaps, odd limits: planned and certified exactly when nothing is wrong with the ranges."""
     found = diagnose(problem)
     if found is None:
         assert_sound(problem, Planner().plan(problem, method="fast"))

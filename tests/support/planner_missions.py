@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from geographiclib.geodesic import Geodesic
 
-from planner import Limits, Problem
+from planner import Corridor, Limits, Problem, build_corridor
+from planner.paper import shortest_sequence
 from tests.support.paths import MISSIONS
 
 PAPER_LIKE = tuple(sorted(path.stem for path in (MISSIONS / "paper_like").glob("*.json")))
@@ -130,11 +131,16 @@ HARD_SEQUENCES = {
 }
 
 
+def corridor_of(problem: Problem, **options: Any) -> Corridor:
+    """The corridor along Dijkstra's sequence."""
+    return build_corridor(problem, shortest_sequence(problem), **options)
+
+
 def random_chain(seed: int) -> Problem | None:
     """A hostile chain of one to six stations; None where the drawn heights share no altitude of the band.
 
     Ranges from 3 m to 3,000 km, up to a thousandfold apart in one scene; antennas below, in and above the band; bands
-    from none to a range high; lenses from a millimetre to a whole range deep; coincident stations; ends on the very
+    from none to a range high; overlaps from a millimetre to a whole range deep; coincident stations; ends on the very
     edge of range and band; limits, overlap and tenure far too large or small for the distances.
     """
     rng = np.random.default_rng(seed)
