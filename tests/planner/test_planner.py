@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 from planner import Infeasibility, InfeasibleError, Planner, Problem, Solution, certify
 from planner.infeasibility.diagnosis import diagnose
 from tests.support.paths import ROOT
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.planner_missions import digest, make_problem, paper_problem
 
 DEFAULTS = {"margin_m": 25.0, "min_overlap_s": 5.0, "min_tenure_s": 10.0}
 
@@ -97,13 +96,6 @@ def test_flyable_plans_cost_little_on_average() -> None:
     assert np.mean(gaps) < 0.065
 
 
-def digest(solution: Solution) -> str:
-    trajectory = solution.trajectory
-    return hashlib.sha256(
-        trajectory.control_points_m.tobytes() + trajectory.durations_s.tobytes() + trajectory.station_index.tobytes()
-    ).hexdigest()
-
-
 def test_same_problem_same_plan() -> None:
     problem = paper_problem("M30_06", **DEFAULTS)
     planner = Planner()
@@ -116,9 +108,8 @@ def test_same_problem_same_plan() -> None:
 @pytest.mark.slow
 def test_same_plan_in_another_process() -> None:
     code = (
-        "import sys; sys.path.insert(0, 'tests/planner');"
-        "from planner_missions import paper_problem; from test_planner_planner import digest;"
         "from planner import Planner;"
+        "from tests.support.planner_missions import digest, paper_problem;"
         "print(digest(Planner().plan(paper_problem('M30_03'))))"
     )
     runs = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from geographiclib.geodesic import Geodesic
 
-from planner import Corridor, Limits, Problem, build_corridor
+from planner import Corridor, Limits, Problem, Solution, build_corridor
 from planner.paper import shortest_sequence
 from tests.support.paths import MISSIONS
 
@@ -217,3 +218,11 @@ def scene(*stations: tuple[float, float, float, float], **options: object) -> Pr
     """Ends at the first and last station's axes, 100 m up, band 100 to 120 m."""
     first, last = stations[0], stations[-1]
     return make_problem([first[0], first[1], 100], [last[0], last[1], 100], stations, **options)
+
+
+def digest(solution: Solution) -> str:
+    """A hash of a plan's every bit."""
+    trajectory = solution.trajectory
+    return hashlib.sha256(
+        trajectory.control_points_m.tobytes() + trajectory.durations_s.tobytes() + trajectory.station_index.tobytes()
+    ).hexdigest()
