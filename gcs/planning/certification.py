@@ -10,6 +10,7 @@ from gcs.errors import PlanningFailed
 from gcs.layout.planning_problem import PlanningProblem, lay_out
 from gcs.plan.model import Plan
 from planner import Certificate, Solution, Trajectory, certify
+from planner.coverage import ElevationMask
 from planner.routing import lower_bound
 
 
@@ -54,7 +55,7 @@ def recertify(plan: Plan) -> Certificate:
     return certify_true(laid, Trajectory(plan.trajectory.control_points_m, plan.trajectory.durations_s, stations))
 
 
-def _lower_bound_s(laid: PlanningProblem, solution: Solution) -> float:
+def true_lower_bound_s(laid: PlanningProblem, solution: Solution) -> float:
     """The solution's bound, or one of its own where elevation or wind are corrected for the projection."""
     limits = laid.geometry.mission.limits
     problem = laid.problem
@@ -64,7 +65,7 @@ def _lower_bound_s(laid: PlanningProblem, solution: Solution) -> float:
     if limits.max_airspeed_m_s is not None and wider.max_airspeed_m_s is not None:
         taken_off = limits.max_airspeed_m_s - wider.max_airspeed_m_s
         wider = replace(wider, max_airspeed_m_s=(limits.max_airspeed_m_s + taken_off) * problem.bound_speed_factor)
-    lowest = laid.geometry.min_elevations_deg[laid.stations]
     # What truly is above e shows in the plane above e less 0.1 degree (deflection of the vertical, stretch).
-    lowest = np.where(lowest > 0.1, lowest - 0.1, -90.0)
-    return lower_bound(replace(problem, limits=wider, min_elevation_deg=lowest)).time_s
+    lowest_deg = laid.geometry.elevation_mask.lowest_deg[laid.stations].tolist()
+    mask = ElevationMask.of_each(angle - 0.1 if angle > 0.1 else None for angle in lowest_deg)
+    return lower_bound(replace(problem, limits=wider, min_elevation_deg=mask.lowest_deg)).time_s
