@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gcs.errors import PlanningFailed
+from gcs.errors import Finding, PlanningFailed
 from gcs.layout.planning_problem import PlanningProblem, lay_out
 from gcs.plan.model import Plan
 from planner import Certificate, Solution, Trajectory, certify
@@ -45,8 +45,14 @@ def certify_true(laid: PlanningProblem, trajectory: Trajectory) -> Certificate:
 
 
 def recertify(plan: Plan) -> Certificate:
-    """The certificate of a plan measured anew from its mission and its curve, whatever its document says."""
-    laid = lay_out(plan.mission, plan.plane)
+    """The certificate of a plan measured anew from its mission and its curve, whatever its document says.
+
+    Raises `PlanningFailed` for a plan that cannot be one of its mission.
+    """
+    try:
+        laid = lay_out(plan.mission, plan.plane)
+    except Finding as error:
+        raise PlanningFailed(f"no plan of this mission can be flown: {error}") from error
     back = {int(station): k for k, station in enumerate(laid.stations)}
     try:
         stations = np.array([back[int(i)] for i in plan.trajectory.station_index])

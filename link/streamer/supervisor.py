@@ -163,8 +163,8 @@ class RunningFlight:
     def replan(
         self, document: Mapping[str, Any], *, join_s: float | None = None, leave_s: float | None = None, **fields: Any
     ) -> None:
-        """The word `replan`: fly another plan from here on (`gcs.planning.replan.Replanned`); times for a flight that
-        stands.
+        """The operator command `replan`: fly another plan from here on (`gcs.planning.replanning.Replanned`); times for a
+        flight that stands.
 
         The plan's document stays in the run folder. Raises as `command` does, and ``OSError``.
         """
