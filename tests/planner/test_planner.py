@@ -108,8 +108,8 @@ def test_same_problem_same_plan() -> None:
 @pytest.mark.slow
 def test_same_plan_in_another_process() -> None:
     code = (
-        "from tests.support.planner_missions import digest, paper_problem;"
         "from planner import Planner;"
+        "from tests.support.planner_missions import digest, paper_problem;"
         "print(digest(Planner().plan(paper_problem('M30_03'))))"
     )
     runs = {
@@ -178,8 +178,8 @@ def test_one_station_straight_ahead() -> None:
 
 @pytest.mark.parametrize("options", [{}, {"min_overlap_s": 5.0, "min_tenure_s": 10.0}])
 @pytest.mark.parametrize("depth_m", [1.5e-3, 0.1, 10.0])
-def test_tiny_lenses_are_stopped_in(depth_m: float, options: dict[str, float]) -> None:
-    """Two ranges that barely meet at 100 m, antennas there: a vehicle can wait in a lens of a millimetre."""
+def test_tiny_overlaps_are_stopped_in(depth_m: float, options: dict[str, float]) -> None:
+    """Two ranges that barely meet at 100 m, antennas there: a vehicle can wait in an overlap of a millimetre."""
     stations = [[0, 0, 100, 1000], [2000 - depth_m, 0, 100, 1000]]
     problem = make_problem([0, 300, 100], [2000, 300, 110], stations, **options)
     assert_sound(problem, Planner().plan(problem))
@@ -218,7 +218,7 @@ def test_huge_ranges_and_far_from_the_origin() -> None:
 
 @st.composite
 def chains(draw: st.DrawFn) -> Problem:
-    """A chain of stations on hills and plains whose lenses are at least a few millimetres deep."""
+    """A chain of stations on hills and plains whose overlaps are at least a few millimetres deep."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(1, 5))
     scale = 10.0 ** draw(st.floats(2.0, 5.0))
@@ -263,7 +263,7 @@ def chains(draw: st.DrawFn) -> Problem:
 @settings(max_examples=40)
 @given(chains())
 def test_every_chain_gets_a_plan_or_a_reason(problem: Problem) -> None:
-    """Hills, thin lenses, odd limits: planned and certified exactly when nothing is wrong with the ranges."""
+    """Hills, thin overlaps, odd limits: planned and certified exactly when nothing is wrong with the ranges."""
     found = diagnose(problem)
     if found is None:
         assert_sound(problem, Planner().plan(problem, method="fast"))
