@@ -33,7 +33,6 @@ from link.streamer.supervisor import start_flight
 from tests.scorecard.soak import counted
 from tests.support.flight_processes import (
     Events,
-    alive,
     bad_links,
     free_ports,
     kill,
@@ -43,6 +42,7 @@ from tests.support.flight_processes import (
 )
 from tests.support.forks import in_fork
 from tests.support.paths import MISSIONS
+from tests.support.process_tree import alive
 from tests.support.virtual_flight import Proxy, VirtualFlight, handover_gaps_s, one_station_at_a_time, plan_home
 
 AUTOPILOTS = ("ardupilot", "px4")
