@@ -158,7 +158,7 @@ def end_past_a_dead_station(flight: VirtualFlight, handover: int, which: str) ->
     flight.proxy.cuts.append((dead, flight.now_s, 1e9))
     end = flight.run()
     one_station_at_a_time(flight)
-    assert not flight.vehicle.personality.armed
+    assert not flight.vehicle.autopilot.armed
     again = dead in plan.station_ids[handover + 1 :] or (which == "old" and dead in plan.station_ids[handover:])
     if which == "old" and not again:
         assert end is FlightState.COMPLETED, flight.events[-5:]
@@ -187,7 +187,7 @@ def end_with_the_streamer_killed(flight: VirtualFlight) -> None:
     assert len(flight.sent) == sent
     # PX4 holds a second after the stream's end; ArduPilot returns five seconds after the last heartbeat.
     autopilot = flight.request.autopilot
-    assert flight.vehicle.personality.mode_name == {"px4": "HOLD", "ardupilot": "RTL"}[autopilot]
+    assert flight.vehicle.autopilot.mode_name == {"px4": "HOLD", "ardupilot": "RTL"}[autopilot]
     assert max(a.time_s for a in flight.accepted) <= silent_s + 0.1
     one_station_at_a_time(flight)
 
