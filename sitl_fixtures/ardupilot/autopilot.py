@@ -37,7 +37,7 @@ STATISTICS_EVERY_S = 31.0
 class ArduCopter(CopterCore):
     """ArduCopter 4.7."""
 
-    AUTOPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    mav_autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     PROJECTION = OffsetProjection
     PARAMETERS = ARDUPILOT
     ORIGIN_AT = 0.48
@@ -159,7 +159,9 @@ class ArduCopter(CopterCore):
             status = mavlink.MAV_STATE_BOOT
         else:
             status = mavlink.MAV_STATE_STANDBY
-        return mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, self.AUTOPILOT, base, self.mode, status, 3)
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_QUADROTOR, self.mav_autopilot, base, self.mode, status, 3
+        )
 
     def position_target(self) -> Message | None:
         """The echo: only in GUIDED, so it goes stale when the mode is left."""

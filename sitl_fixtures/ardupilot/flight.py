@@ -97,7 +97,7 @@ class CopterFlight(ModeFlight[CopterCore]):
     def _return(self, dt: float) -> None:
         autopilot = self._autopilot
         guidance = autopilot.guidance
-        place = autopilot.mission_flight.return_place() or autopilot.home_local()
+        place = autopilot.return_place()
         home_d = autopilot.home_local()[2]
         if not autopilot.stage:
             autopilot.stage = "climb"
@@ -113,7 +113,7 @@ class CopterFlight(ModeFlight[CopterCore]):
         elif autopilot.stage == "return":
             speed = autopilot.params["RTL_SPEED"] / 100.0 or guidance.limits.speed_m_s
             autopilot.command = guidance.go_to(autopilot.hold_at, dt, speed_m_s=min(speed, self._soft_start_m_s()))
-            if guidance.off_m(autopilot.hold_at) < 2.0 and autopilot.vehicle.body.speed_m_s < 0.5:
+            if self._still_over(autopilot.hold_at):
                 autopilot.stage, autopilot.stage_s = "loiter", autopilot.vehicle.time_s
         elif autopilot.stage == "loiter":
             autopilot.command = guidance.go_to(autopilot.hold_at, dt)
@@ -141,7 +141,7 @@ class CopterFlight(ModeFlight[CopterCore]):
         autopilot = self._autopilot
         guidance = autopilot.guidance
         autopilot.landed_state = LANDING
-        above = autopilot.vehicle.body.height_m - autopilot.vehicle.body.ground_m
+        above = autopilot.vehicle.body.above_ground_m
         slow = autopilot.params["LAND_SPEED"] / 100.0
         fast = max(slow, (autopilot.params["LAND_SPEED_HIGH"] or autopilot.params["WPNAV_SPEED_DN"]) / 100.0)
         low = autopilot.params["LAND_ALT_LOW"] / 100.0

@@ -95,7 +95,7 @@ class MissionFlight:
         wait_s = item.params[0] if item.command in (WAYPOINT, LOITER_TIME) else 0.0
         return now - self._held_since_s >= wait_s
 
-    def return_place(self) -> Vector | None:
+    def rally_place(self) -> Vector | None:
         """The rally point a return goes to from here, local NED; None: home.
 
         The nearest of home and the rally points, within RALLY_LIMIT_KM on ArduPilot; on PX4 with RTL_TYPE 0 or 3.

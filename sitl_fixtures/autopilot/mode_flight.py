@@ -44,6 +44,11 @@ class ModeFlight(ABC, Generic[Model]):
         autopilot.command = ZERO
         autopilot.landed_state = ON_GROUND
 
+    def _still_over(self, place: Vector) -> bool:
+        """Whether a return has come to rest over its place."""
+        autopilot = self._autopilot
+        return autopilot.guidance.off_m(place) < 2.0 and autopilot.vehicle.body.speed_m_s < 0.5
+
     def _mission(self, dt: float) -> None:
         autopilot = self._autopilot
         leg = autopilot.mission_flight.leg()

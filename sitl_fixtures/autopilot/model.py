@@ -63,10 +63,11 @@ class AutopilotModel(ABC):
         command, rotors: what is asked of the aircraft in this step: acceleration (NED, m/s^2) and thrust at all.
         hold_at: the place the mode in hand holds or goes to, local NED, m.
         stage: how far a return has come; empty when it has not begun.
+        landed_for_s: how long it has stood on the ground after a landing, s.
         failsafe_active: whether a failsafe chose the mode.
     """
 
-    AUTOPILOT: ClassVar[int]
+    mav_autopilot: ClassVar[int]
     PROJECTION: ClassVar[type[SphereProjection] | type[OffsetProjection]]
     PARAMETERS: ClassVar[list[Row]]
     BITWISE_PARAMETERS: ClassVar[bool]
@@ -196,11 +197,6 @@ class AutopilotModel(ABC):
 
     # -- shared -------------------------------------------------------------------------------------------------------
 
-    @property
-    def mav_autopilot(self) -> int:
-        """MAV_AUTOPILOT of its heartbeats."""
-        return self.AUTOPILOT
-
     def arm(self) -> None:
         """Arms: home is set where the vehicle stands."""
         self.armed = True
@@ -258,6 +254,10 @@ class AutopilotModel(ABC):
             return ZERO
         north, east = estimate.projection.to_local(math.radians(self.home[0]), math.radians(self.home[1]))
         return north, east, estimate.origin[2] - self.home[2]
+
+    def return_place(self) -> Vector:
+        """Where a return goes to from here, local NED, m: a rally point or home."""
+        return self.mission_flight.rally_place() or self.home_local()
 
     def turn_yaw(self, dt: float, rate_rad_s: float) -> None:
         """Turns towards the yaw wanted; without one, along the course."""

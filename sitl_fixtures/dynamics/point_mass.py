@@ -84,6 +84,11 @@ class PointMass:
         return math.degrees(self.lon_rad)
 
     @property
+    def above_ground_m(self) -> float:
+        """Height above the ground, m."""
+        return self.height_m - self.ground_m
+
+    @property
     def speed_m_s(self) -> float:
         """Speed over the ground, m/s."""
         return math.hypot(self.vn, self.ve)

@@ -35,7 +35,7 @@ from sitl_fixtures.px4.parameters import PX4
 class Px4(Px4Core):
     """PX4 1.17 multicopter."""
 
-    AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
+    mav_autopilot = mavlink.MAV_AUTOPILOT_PX4
     PROJECTION = SphereProjection
     PARAMETERS = PX4
     ORIGIN_AT = 0.2
@@ -148,7 +148,7 @@ class Px4(Px4Core):
         else:
             status = mavlink.MAV_STATE_STANDBY
         return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_QUADROTOR, self.AUTOPILOT, base, main << 16 | sub << 24, status, 3
+            mavlink.MAV_TYPE_QUADROTOR, self.mav_autopilot, base, main << 16 | sub << 24, status, 3
         )
 
     def position_target(self) -> Message | None:

@@ -133,7 +133,7 @@ class Px4Flight(ModeFlight[Px4Core]):
     def _return(self, dt: float) -> None:
         autopilot = self._autopilot
         guidance = autopilot.guidance
-        place = autopilot.mission_flight.return_place() or autopilot.home_local()
+        place = autopilot.return_place()
         home_d = autopilot.home_local()[2]
         if not autopilot.stage:
             autopilot.stage = "climb"
@@ -153,7 +153,7 @@ class Px4Flight(ModeFlight[Px4Core]):
                 autopilot.hold_at = (place[0], place[1], autopilot.hold_at[2])
         elif autopilot.stage == "return":
             autopilot.command = guidance.go_to(autopilot.hold_at, dt)
-            if guidance.off_m(autopilot.hold_at) < 2.0 and autopilot.vehicle.body.speed_m_s < 0.5:
+            if self._still_over(autopilot.hold_at):
                 self._start_landing()
         else:
             self._land(dt)
@@ -170,7 +170,7 @@ class Px4Flight(ModeFlight[Px4Core]):
         autopilot = self._autopilot
         autopilot.landed_state = LANDING
         p = autopilot.params
-        above = autopilot.vehicle.body.height_m - autopilot.vehicle.body.ground_m
+        above = autopilot.vehicle.body.above_ground_m
         high, low = p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"]
         fast, slow = p["MPC_Z_VEL_MAX_DN"], p["MPC_LAND_SPEED"]
         # In two steps, as recorded: half way to slow between 1.8 and 1.4 times the higher altitude, then at the lower.

@@ -113,7 +113,7 @@ def handover_gaps_s(flight: VirtualFlight, around_s: float = 2.0) -> list[float]
 
 
 class VirtualFlight:
-    """One flight of a plan by an autopilot's personality. `run` until it ends, or some condition holds."""
+    """One flight of a plan by an autopilot model. `run` until it ends, or some condition holds."""
 
     def __init__(
         self,
