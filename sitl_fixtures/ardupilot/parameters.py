@@ -1,7 +1,7 @@
 """The parameters the simulated ArduCopter knows: ``(name, value, MAV_PARAM_TYPE)``.
 
 Names, types and stock values are those of ArduCopter 4.7, a selection: what a ground station reads before a flight, and
-what the simulation obeys. Where the value differs from the stock one, so that the default vehicle can fly fast missions,
+what the simulation obeys. Where the value differs from the stock one, so that the default vehicle flies fast missions,
 a comment says so.
 """
 
