@@ -16,8 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fixtures.ardupilot.parameters import ARDUPILOT
 from sitl_fixtures.px4.parameters import PX4
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.support.recordings import load
 
 BOOT_S = {"ArduCopter": 0.06, "PX4": 0.37}
@@ -147,7 +146,7 @@ class Replay:
                 self._collect(now)
                 e, b = sim.estimator, sim.body
                 self.path.append((now, e.n, e.e, e.d, b.vn, b.ve, b.vd))
-                name = sim.personality.mode_name
+                name = sim.autopilot.mode_name
                 if not self.modes or self.modes[-1][1] != name:
                     self.modes.append((now, name))
                 next_sample += 0.05

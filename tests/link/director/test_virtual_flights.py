@@ -61,7 +61,7 @@ def test_a_link_dead_before_a_handover_ends_in_one_owner_and_in_coverage(
     one.proxy.cuts.append((dead, one.now_s, 1e9))
     end = one.run(limit_s=500.0)
     one_station_at_a_time(one)
-    assert not one.vehicle.personality.armed
+    assert not one.vehicle.autopilot.armed
     if which == "old":
         assert end is FlightState.COMPLETED
         patience_s = {"px4": 0.6, "ardupilot": 1.8}[autopilot]

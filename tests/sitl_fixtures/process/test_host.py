@@ -16,8 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fixtures.__main__ import main
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.process.host import Address, Host
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.support.flight_processes import free_ports
 
 

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sitl_fixtures.errors import ConfigurationError
-from sitl_fixtures.process.proxy import Impairment, LossyChannel, main
+from sitl_fixtures.process import Impairment, LossyChannel
+from sitl_fixtures.process.proxy import main
 from tests.support.flight_processes import free_ports
 
 
