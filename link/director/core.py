@@ -34,7 +34,7 @@ from link.telemetry.link_path import FAILOVER_S, IDLE_FAILOVER_S, Carrier
 from link.telemetry.setpoint_echo import EchoTracker
 from link.telemetry.vehicle_monitor import VehicleMonitor
 from link.transport.gate import TransmitterGate
-from link.transport.url import STREAM_SCHEMES, parse_url
+from link.transport.url import parse_url
 from link.wire.codec import StationCodec
 
 __all__ = ["FlightCore", "FlightRequest"]
@@ -89,7 +89,7 @@ class FlightCore:
         self._decoders = {}
         for url, sharing in self._sharing.items():
             codec = self.codecs[sharing[0]]
-            stream = parse_url(url).scheme in STREAM_SCHEMES
+            stream = parse_url(url).is_stream
             self._decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
         monitor = VehicleMonitor(self.stations, vehicle, frozenset(system_ids.values()) | {vehicle}, urls)
         ids = {**system_ids, **{s + VEHICLE_STATION: vehicle for s in self.stations}}

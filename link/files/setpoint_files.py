@@ -7,15 +7,11 @@ autopilot profile's message from the system id of the station in control, with t
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
-import secrets
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -88,42 +84,6 @@ def setpoint_file(
     if base.tzinfo is None:
         raise ValueError(f"launch is {base.isoformat()} without a time zone, give UTC as in 2026-11-22T09:00:00Z")
     return _tlog(stream, PROFILES[autopilot], base, origin)
-
-
-def write_setpoints(
-    plan: Plan,
-    rate_hz: float,
-    file_format: Format,
-    path: str | Path,
-    *,
-    autopilot: str = "px4",
-    launch: datetime | None = None,
-    origin: EkfOrigin | None = None,
-) -> None:
-    """Write `setpoint_file` to ``path``: the whole file or none. `OSError` when it cannot be written."""
-    pieces = setpoint_file(plan, rate_hz, file_format, autopilot=autopilot, launch=launch, origin=origin)
-    with atomic_file(path) as out:
-        for piece in pieces:
-            out.write(piece)
-
-
-@contextlib.contextmanager
-def atomic_file(path: str | Path) -> Iterator[BinaryIO]:
-    """A file that appears under its name only when the block ends well, and is on disk by then."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    # Not tempfile: its files are private, and a result is as readable as any other file.
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-    try:
-        with os.fdopen(descriptor, "wb") as out:
-            yield out
-            out.flush()
-            os.fsync(out.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        raise
 
 
 def _columns(stream: SetpointStream, block: SetpointBlock) -> list[list[object]]:

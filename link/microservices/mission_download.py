@@ -221,10 +221,6 @@ class MissionTraits:
 
     keeps_old_after_failure: bool
     """False: items already received have overwritten the old mission; upload again or clear."""
-    honours_cancel: bool
-    """Whether the station's MISSION_ACK (cancelled) ends an upload at once."""
-    upload_timeout_s: float
-    """After this long without an item the vehicle gives up by itself."""
     first_item_is_home: bool
     """Item 0 is the home position, not the first waypoint."""
     keeps_parameters: bool

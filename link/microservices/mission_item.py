@@ -133,15 +133,6 @@ class MissionItem:
         )
 
 
-def waypoint(
-    lat_deg: float, lon_deg: float, alt_m: float, *, frame: int = AMSL, hold_s: float = 0.0, acceptance_m: float = 0.0
-) -> MissionItem:
-    """A place to fly to (MAV_CMD_NAV_WAYPOINT); the heading is left to the vehicle."""
-    return MissionItem(
-        mavlink.MAV_CMD_NAV_WAYPOINT, lat_deg, lon_deg, alt_m, frame, (hold_s, acceptance_m, 0.0, math.nan)
-    )
-
-
 def rally_point(lat_deg: float, lon_deg: float, alt_m: float, *, frame: int = RELATIVE) -> MissionItem:
     """A place to return to (MAV_CMD_NAV_RALLY_POINT). Above home by default: older ArduPilots take nothing else."""
     return MissionItem(mavlink.MAV_CMD_NAV_RALLY_POINT, lat_deg, lon_deg, alt_m, frame)

@@ -92,7 +92,6 @@ class _Verified(MissionTransfer):
         self._attempt = 0
         self._check: MissionDownload | None = None
         self._pause: Literal["attempt", "check", None] = None
-        self._why = ""
 
     def _start(self, now_s: float) -> None:
         self._begin(now_s)
@@ -108,7 +107,6 @@ class _Verified(MissionTransfer):
 
     def _again(self, now_s: float, reason: Any, message: str, pause_s: float | None = None) -> None:
         """One attempt is over without success: another, or the end."""
-        self._why = message
         if self._attempt >= self.timing.attempts:
             self._fail(reason, f"{message} ({self._attempt} attempts)")
         else:

@@ -177,7 +177,8 @@ class FlightContext:
     @property
     def follows(self) -> bool:
         """Whether the vehicle follows setpoints, by its HEARTBEAT."""
-        return self.mode == self.profile.offboard_mode
+        heartbeat = self.monitor.heartbeat
+        return heartbeat is not None and self.profile.is_offboard(heartbeat)
 
     def adopt_origin(self, station_id: str) -> bool:
         """Take the EKF origin a station was told; whether it is another than before."""

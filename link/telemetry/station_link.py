@@ -18,7 +18,6 @@ class StationLink:
         self.carriers = tuple(Carrier(url) for url in urls)
         self.active = self.carriers[0]
         """The way that sends."""
-        self.heartbeat_s = -math.inf
         self.origin: EkfOrigin | None = None
         self.origin_s = -math.inf
 

@@ -186,8 +186,6 @@ class UdpInEndpoint(_UdpEndpoint):
 class TcpEndpoint(Endpoint):
     """A TCP client that connects and reconnects by itself, doubling its pause from 0.5 s to 8 s."""
 
-    is_stream = True
-
     def __init__(self, url: LinkUrl, clock: Callable[[], float]) -> None:
         super().__init__(url)
         self._clock = clock

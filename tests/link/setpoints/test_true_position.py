@@ -22,6 +22,7 @@ from link.wire.codec import StationCodec
 from sitl_fixtures.vehicle.config import SimulatorConfig
 from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
 from tests.support.drawn_plans import make_plan, rest_to_rest
+from tests.support.heartbeats import is_autopilot
 
 GROUND_AMSL_M = 20.0
 CLIMB_M = 40.0
@@ -57,7 +58,7 @@ class Flight:
             for message in self.codec.decode(frame):
                 if message.get_type() == "GPS_GLOBAL_ORIGIN":
                     self.origin = EkfOrigin.from_message(message)
-                if message.get_type() == "HEARTBEAT" and self.profile.is_autopilot(message):
+                if is_autopilot(self.profile, message):
                     self.offboard = self.profile.is_offboard(message)
 
     def take_off(self, start: Setpoint) -> None:
