@@ -24,7 +24,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from planner.coverage.disc import altitude_span_m, covering_stations, disc_radius_m, range_to_meet_m
-from planner.coverage.overlap import MIN_LENS_M, adjacent_pairs
+from planner.coverage.overlap import MIN_OVERLAP_M, adjacent_pairs
 from planner.errors import Infeasibility
 from planner.infeasibility.diagnosis import diagnose
 from planner.problem import Limits, Problem
@@ -387,7 +387,7 @@ def _station(problem: Problem, found: Infeasibility) -> dict[str, object] | None
         min_elevation_deg=None if problem.min_elevation_deg is None else np.append(problem.min_elevation_deg, -90.0),
     )
     new = np.full(len(neighbours), problem.station_count)
-    needed = float(range_to_meet_m(extended, new, neighbours, MIN_LENS_M).max())
+    needed = float(range_to_meet_m(extended, new, neighbours, MIN_OVERLAP_M).max())
     if found.reason != "broken_chain":
         needed = max(needed, float(np.linalg.norm(point - np.array(found.position_m))))
     if not np.isfinite(needed):

@@ -255,7 +255,7 @@ def test_local_missions_are_planned_in_their_own_numbers(flat: Plan) -> None:
     laid = lay_out(flat.mission)
     assert laid.problem.ranges_m.tolist() == [1000.0, 1000.0]
     assert laid.problem.limits.max_speed_m_s == 50.0
-    # 1500 m at 50 m/s and 5 m/s^2: 40 s, and bends at the lens cost nothing here
+    # 1500 m at 50 m/s and 5 m/s^2: 40 s, and bends at the overlap cost nothing here
     assert flat.lower_bound_s == pytest.approx(40.0, abs=1e-6)
 
 

@@ -258,7 +258,7 @@ def test_a_start_that_cannot_stop_in_time() -> None:
 
 
 def test_the_smallest_fix_comes_first() -> None:
-    """Metres in all, of one kind against the other: a lens short of 30 m, a margin of 25 m that can be 9.98 m."""
+    """Metres in all, of one kind against the other: an overlap short of 30 m, a margin of 25 m that can be 9.98 m."""
     error = infeasible(local(stations__1__east_m=1970.0, destination__east_m=1970.0, options__range_margin_m=25.0))
     asked = [fix["by_m"] for fix in remedies(error.fix) if fix["action"] in ("lower_margin", "raise_range")]
     assert asked == sorted(asked)
@@ -313,7 +313,7 @@ def test_uncovered_start_tells_how_far() -> None:
 
 
 def test_the_margin_named_is_the_largest_that_holds() -> None:
-    """Lens of 19.97 m depth between two stations: each may lose half of it, 9.98 m, not 10.05."""
+    """Overlap of 19.97 m depth between two stations: each may lose half of it, 9.98 m, not 10.05."""
     document = local(stations__1__east_m=1970.0, destination__east_m=1970.0, options__range_margin_m=25.0)
     error = infeasible(document)
     fix = next(f for f in remedies(error.fix) if f["action"] == "lower_margin")
