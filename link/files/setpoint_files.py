@@ -11,21 +11,19 @@ import json
 import math
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
 from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
 from link.files.tlog import record
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import SetpointBlock
 from link.wire.codec import StationCodec
-
-if TYPE_CHECKING:
-    from gcs.plan import Plan
 
 Format = Literal["csv", "jsonl", "tlog"]
 FORMATS: tuple[Format, ...] = ("csv", "jsonl", "tlog")
@@ -75,7 +73,7 @@ def setpoint_file(
         raise ValueError(f"format is {file_format!r}, allowed are {', '.join(FORMATS)}")
     if autopilot not in PROFILES:
         raise ValueError(f"autopilot is {autopilot!r}, allowed are {', '.join(PROFILES)}")
-    stream = SetpointStream(plan, rate_hz)
+    stream = SetpointSampler(plan, rate_hz)
     if file_format == "csv":
         return _csv(stream)
     if file_format == "jsonl":
@@ -86,7 +84,7 @@ def setpoint_file(
     return _tlog(stream, PROFILES[autopilot], base, origin)
 
 
-def _columns(stream: SetpointStream, block: SetpointBlock) -> list[list[object]]:
+def _columns(stream: SetpointSampler, block: SetpointBlock) -> list[list[object]]:
     """The contract's columns, unrounded."""
     p, v, a = block.position_enu_m, block.velocity_enu_m_s, block.acceleration_enu_m_s2
     numbers = [
@@ -102,7 +100,7 @@ def _columns(stream: SetpointStream, block: SetpointBlock) -> list[list[object]]
     return columns
 
 
-def _csv(stream: SetpointStream) -> Iterator[bytes]:
+def _csv(stream: SetpointSampler) -> Iterator[bytes]:
     # A station id holds neither comma nor quote (gcs.mission.model), so nothing needs quoting.
     yield (",".join(COLUMNS) + "\n").encode()
     row = ",".join("%s" if d is None else f"%.{d}f" for d in _DECIMALS) + "\n"
@@ -118,7 +116,7 @@ def _csv(stream: SetpointStream) -> Iterator[bytes]:
         yield "".join([row % values for values in zip(*columns, strict=True)]).encode()
 
 
-def _jsonl(stream: SetpointStream) -> Iterator[bytes]:
+def _jsonl(stream: SetpointSampler) -> Iterator[bytes]:
     # A template is four times faster than json.dumps of a dictionary a line; repr is how JSON writes a finite float.
     row = (
         "{"
@@ -133,7 +131,7 @@ def _jsonl(stream: SetpointStream) -> Iterator[bytes]:
 
 
 def _tlog(
-    stream: SetpointStream, profile: AutopilotProfile, launch: datetime, origin: EkfOrigin | None
+    stream: SetpointSampler, profile: AutopilotProfile, launch: datetime, origin: EkfOrigin | None
 ) -> Iterator[bytes]:
     plane = stream.plan.plane
     if origin is None:

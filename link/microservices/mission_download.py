@@ -1,7 +1,7 @@
-"""Reading a mission, fence or rally list, and what all transfers share; `link.microservices.mission_upload` writes
-them.
+"""MAVLink's mission microservice: reading a mission, fence or rally list, and what all transfers share.
 
-State machines without I/O: feed them messages and the time, send what they give back.
+`link.microservices.mission_upload` writes them. State machines without I/O: feed them messages and the time, send what
+they give back.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Mission, fence and rally items as data, and their MISSION_ITEM_INT.
+"""MAVLink's mission microservice: mission, fence and rally items as data, and their MISSION_ITEM_INT.
 
 Positions are degrees; what ``alt_m`` counts from is the item's frame. No vehicle checks all of this: PX4 stores
 latitude 95 as it is, so an item is checked when it is made.

@@ -1,6 +1,7 @@
-"""Mission, fence and rally lists to and from a vehicle over a bad link, as state machines without I/O.
+"""MAVLink's mission microservice: mission, fence and rally lists to and from a vehicle over a bad link.
 
-Feed them messages and the time; they give back messages to send and when they want to be called next::
+State machines without I/O. Feed them messages and the time; they give back messages to send and when they want to be
+called next::
 
     transfer.start(now_s)
     loop: send transfer.take_outgoing(); transfer.receive(message, now_s) for each that came;

@@ -73,8 +73,8 @@ class Heartbeat:
 class VehicleMonitor:
     """Everything heard, merged.
 
-    ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids, ``urls`` the ways of each where
-    there are several.
+    ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids, ``urls`` the link paths of each
+    where there are several.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class VehicleMonitor:
     def receive(self, now_s: float, station_id: str, message: Any, url: str | None = None) -> bool:
         """Take a message heard over a station's link; whether it was the vehicle's autopilot speaking.
 
-        ``url`` tells which of the station's ways it came over.
+        ``url`` tells which of the station's link paths it came over.
         """
         system, component = message.get_srcSystem(), message.get_srcComponent()
         kind = message.get_type()
@@ -124,11 +124,11 @@ class VehicleMonitor:
         if component != AUTOPILOT_COMPONENT:
             return False
         link = self.links[station_id]
-        carrier = link.carrier(url)
-        carrier.heard(now_s, message.get_seq())
+        path = link.path(url)
+        path.heard(now_s, message.get_seq())
         if kind == "TIMESYNC":
             if message.tc1 != 0:
-                carrier.answered(message.ts1, now_s)
+                path.answered(message.ts1, now_s)
             return True
         fresh = self._in_order(now_s, getattr(message, "time_boot_ms", None))
         handler = _HANDLERS.get(kind)
@@ -170,20 +170,20 @@ class VehicleMonitor:
         """Our clock when the vehicle's showed ``boot_s``.
 
         By the fastest message lately, less half of the shortest round trip lately: right where there and back take
-        equally long. A message that was faster than that way's own (over another link) keeps it from being early.
+        equally long. A message that was faster than that path's own (over another link) keeps it from being early.
         """
         if not self._offset:
             return None
-        latencies = [c.least_latency_s for link in self.links.values() for c in link.carriers if c.round_trip_s]
+        latencies = [c.least_latency_s for link in self.links.values() for c in link.paths if c.round_trip_s]
         return boot_s + min(offset for _, offset in self._offset) - min(latencies, default=0.0)
 
     def probe(self, now_s: float, station_id: str) -> Any:
-        """A TIMESYNC of a station, for all its ways; its answer can only be the answer to it (matched by ``ts1``)."""
+        """A TIMESYNC of a station, for all its paths; its answer can only be the answer to it (matched by ``ts1``)."""
         self._probe_count += 1
         # Nanoseconds of our clock would repeat between stations; the count cannot.
         nonce = (int(max(now_s, 0.0) * 1e6) << 20) | (self._probe_count & 0xFFFFF)
-        for carrier in self.links[station_id].carriers:
-            carrier.probed(now_s, nonce)
+        for path in self.links[station_id].paths:
+            path.probed(now_s, nonce)
         return mavlink.MAVLink_timesync_message(0, nonce)
 
     # -- out ----------------------------------------------------------------------------------------------------------

@@ -129,7 +129,7 @@ class UdpOutEndpoint(_UdpEndpoint):
 class UdpInEndpoint(_UdpEndpoint):
     """Listens on an address; peers are learnt from what they send, and every live peer gets what is sent.
 
-    Only a datagram that starts like MAVLink makes a peer. Signing, not this, keeps strangers out.
+    Only a datagram that starts like MAVLink makes a peer. Signing, not this, keeps foreign stations out.
     """
 
     def __init__(self, url: LinkUrl, clock: Callable[[], float]) -> None:

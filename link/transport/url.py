@@ -23,7 +23,7 @@ class LinkUrl:
 
     @property
     def is_stream(self) -> bool:
-        """Whether its bytes come without borders between frames, so that a frame may arrive in pieces."""
+        """Whether its bytes come without bounds between frames, so that a frame may arrive in pieces."""
         return self.scheme in ("tcp", "serial")
 
     def __str__(self) -> str:

@@ -28,7 +28,7 @@ from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
 from link.errors import LinkError, MissingOrigin, UnsafeSetpoint
 from link.microservices.parameter_value import Parameter
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
 from link.telemetry.vehicle_monitor import Heartbeat
 from link.wire.codec import StationCodec
@@ -186,7 +186,7 @@ def test_ardupilot_is_not_sent_anything_before_its_origin_is_known() -> None:
 def test_the_place_meant_is_the_place_the_vehicle_goes_to(name: str) -> None:
     """100 km from the vehicle's origin the true target is within 2 cm of the plan (float32 steps by 8 mm there)."""
     profile = PROFILES[name]
-    stream = SetpointStream(relay_plan(), 0.5)
+    stream = SetpointSampler(relay_plan(), 0.5)
     there = Plane(53.0, 4.8).to_geodetic(-70_000.0, -71_000.0)
     origin = EkfOrigin(float(there[0]), float(there[1]), 3.0)
     for sample in stream:
@@ -204,7 +204,7 @@ def test_the_place_meant_is_the_place_the_vehicle_goes_to(name: str) -> None:
 
 def test_one_mask_for_the_whole_flight_hold_included() -> None:
     """ArduCopter starts its controller anew when the mask changes; and only full triples are never misread."""
-    sample = SetpointStream(relay_plan(), 20.0).at(77.0)
+    sample = SetpointSampler(relay_plan(), 20.0).at(77.0)
     for profile in PROFILES.values():
         masks = {
             profile.encode(s, target_system=1, origin=DEN_HELDER).type_mask

@@ -19,7 +19,7 @@ from pymavlink import mavutil
 from gcs.plan.model import Plan
 from link.autopilot.local_frame import EkfOrigin, ardupilot_lat_lon_deg
 from link.files.setpoint_files import COLUMNS, setpoint_file
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from tests.support.drawn_plans import make_plan, relay_plan, rest_to_rest, with_handovers
 
 HEADER = (
@@ -101,7 +101,7 @@ def test_csv_yaw_of_360_is_written_as_0() -> None:
 def test_jsonl_has_the_same_names_and_unrounded_numbers() -> None:
     plan = relay_plan()
     rows = [json.loads(line) for line in content(plan, 5.0, "jsonl").decode().splitlines()]
-    samples = list(SetpointStream(plan, 5.0))
+    samples = list(SetpointSampler(plan, 5.0))
     assert len(rows) == len(samples)
     for row, sample in zip(rows, samples, strict=True):
         assert tuple(row) == COLUMNS
@@ -130,7 +130,7 @@ def test_px4_log_read_back_by_mavutil(tmp_path: Path) -> None:
     path = tmp_path / "plan.tlog"
     path.write_bytes(content(plan, 20.0, "tlog", autopilot="px4", launch=LAUNCH))
     messages = read_with_mavutil(path)
-    samples = list(SetpointStream(plan, 20.0))
+    samples = list(SetpointSampler(plan, 20.0))
     setpoints = [m for m in messages if m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"]
     assert len(setpoints) == len(samples)
     for message, sample in zip(setpoints, samples, strict=True):
@@ -161,7 +161,7 @@ def test_ardupilot_log_is_in_its_own_frame_from_the_origin_it_names(tmp_path: Pa
     assert [(o.latitude, o.longitude, o.altitude) for o in origins] == [(530_000_000, 48_000_000, 10_000)]
     origin = EkfOrigin(53.0, 4.8, 10.0)
     setpoints = [m for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
-    samples = list(SetpointStream(plan, 10.0))
+    samples = list(SetpointSampler(plan, 10.0))
     assert len(setpoints) == len(samples)
     for message, sample in zip(setpoints, samples, strict=True):
         assert (message.coordinate_frame, message.type_mask) == (1, 0x0C00)
@@ -209,7 +209,7 @@ def test_mavlogdump_reads_the_log(tmp_path: Path, autopilot: str, kind: str) -> 
     tool = [sys.executable, "-m", "pymavlink.tools.mavlogdump", "--format", "json", "--types", kind, str(path)]
     done = subprocess.run(tool, capture_output=True, text=True, check=True, timeout=60)
     rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    samples = list(SetpointStream(plan, 5.0))
+    samples = list(SetpointSampler(plan, 5.0))
     assert len(rows) == len(samples) == 301
     for row, sample in zip(rows, samples, strict=True):
         assert row["meta"]["type"] == kind

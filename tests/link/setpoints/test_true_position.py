@@ -16,7 +16,7 @@ from gcs.geodesy.plane import Plane
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
 from link.wire.codec import StationCodec
 from sitl_fixtures.vehicle.config import SimulatorConfig
@@ -93,7 +93,7 @@ class Flight:
 def test_true_place_100_km_from_the_vehicles_origin(autopilot: str) -> None:
     # The plan's plane is about 53 N, 4.8 E; the flight is 98 km east of it, where its north is 1.2 degrees off.
     curve = rest_to_rest((98_000, 0, 50), (98_400, 0, 50), (98_400, 500, 70), (98_900, 700, 60), duration_s=130.0)
-    stream = SetpointStream(make_plan(curve), 20.0)
+    stream = SetpointSampler(make_plan(curve), 20.0)
     first, last = stream.at(0.0), stream.at(130.0)
     flight = Flight(autopilot, (first.lat_deg, first.lon_deg))
     for _ in range(200):
