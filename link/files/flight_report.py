@@ -33,7 +33,7 @@ from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
 from link.autopilot.registry import PROFILES, profile_of_setpoints
 from link.errors import ReportError
-from link.files.lateness import lateness_ms
+from link.files.grid_lateness import grid_lateness_ms
 from link.files.link_report import History, LinkReport, ProbeCount
 from link.files.tlog import TlogRecord, read_tlog
 
@@ -119,7 +119,7 @@ class FlightReport:
             "Lateness      "
             f"p50 {self.lateness_p50_ms:.1f}, p99 {self.lateness_p99_ms:.1f}, worst {self.lateness_worst_ms:.1f} ms"
             + ("" if self.skipped_ticks is None else f", {self.skipped_ticks} skipped (the streamer's own count)"),
-            "Links",
+            "C2 links",
             *(f"  {link.to_text()}" for link in self.links),
             f"Handovers     {len(self.handovers)}",
         ]
@@ -407,7 +407,7 @@ def _between(times: Array, low: float, high: float) -> NDArray[np.bool_]:
 
 
 def _lateness(time_s: Array) -> dict[str, float]:
-    late_ms = lateness_ms(time_s)
+    late_ms = grid_lateness_ms(time_s)
     return {
         "p50_ms": float(np.quantile(late_ms, 0.5)),
         "p99_ms": float(np.quantile(late_ms, 0.99)),

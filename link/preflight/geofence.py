@@ -4,8 +4,8 @@ A fence acts by itself: a plan that leaves it ends in the fence's action, in mid
 before the flight; the profile says which kinds are.
 
 The fence laid on request is one convex polygon around everything the vehicle may do by itself: the path, and every
-straight way from it to home and to the rally points, with a margin. Anything narrower would stop the autopilot's own
-return at the fence.
+straight line from it to home and to the rally points, with a margin. Anything narrower would stop the failsafe return
+at the fence.
 
 Source: MAVLink fence items (MAV_CMD_NAV_FENCE_*, 5001-5004); parameter definitions of both autopilots.
 """

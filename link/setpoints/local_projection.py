@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 REACH_M = 400.0
 
 
-class LocalMap:
+class LocalProjection:
     """Converts between a plane and the earth about an anchor, which is moved (exactly) when a point is out of reach."""
 
     def __init__(self, plane: Plane) -> None:

@@ -21,6 +21,7 @@ from link.dialect import mavlink
 from link.session.request import FlightRequest
 from link.transport.opening import open_endpoint
 from link.wire.codec import StationCodec
+from tests.support.heartbeats import is_autopilot
 from tests.support.paths import ROOT
 from tests.support.virtual_flight import plan_home
 
@@ -138,7 +139,7 @@ def mode_seen(url: str, autopilot: str, expected: str, timeout_s: float = 30.0) 
             time.sleep(0.05)
             for data in link.receive():
                 for message in codec.decode(data):
-                    if profile.is_autopilot(message):
+                    if is_autopilot(profile, message):
                         mode = profile.mode_of(message)
     return mode
 

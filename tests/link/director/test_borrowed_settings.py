@@ -100,7 +100,7 @@ def test_a_vehicle_that_refuses_rally_points_flies_and_its_own_return_goes_home(
     told = checks(one)
     assert told["rally points"]["level"] == "warning"
     assert "more items than it has room for" in told["rally points"]["message"]
-    assert told["own return"]["value"]["places"] == ["home"]
+    assert told["failsafe return"]["value"]["places"] == ["home"]
 
 
 @BOTH
@@ -152,7 +152,7 @@ def test_rally_points_of_its_own_are_where_its_return_goes() -> None:
     one = flight_with("px4", rally=(OLD,), plan=relay_plan(2))
     told = checks(one)
     assert told["rally points"]["message"] == "the vehicle holds 1 of its own"
-    assert "rally point 1" in told["own return"]["value"]["places"]
+    assert "rally point 1" in told["failsafe return"]["value"]["places"]
     assert len(held(one)) == 1
 
 
@@ -167,7 +167,7 @@ def test_the_limit_that_makes_ardupilot_ignore_rally_points_is_lifted_on_the_sim
     assert told["RALLY_LIMIT_KM"]["level"] == "warning"
     assert told["RALLY_LIMIT_KM"]["fix"] == "set RALLY_LIMIT_KM to 0"
     # 50 m from the path no field counts: everything returns home.
-    assert told["own return"]["value"]["places"] == ["home"]
+    assert told["failsafe return"]["value"]["places"] == ["home"]
 
 
 @BOTH

@@ -101,7 +101,7 @@ def test_a_vehicle_elsewhere_is_refused_with_the_distance() -> None:
 
 def test_a_dead_link_of_a_later_station_is_found_before_take_off() -> None:
     one = flight("px4", proxy=Proxy(cuts=[("s2", 0.0, 1e9)]))
-    assert "link s2: the vehicle is not heard over it" in refusal(one)
+    assert "link s2: no C2 link: the vehicle is not heard over it" in refusal(one)
 
 
 @BOTH
