@@ -7,12 +7,11 @@ end to end.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.geodesy.range_bounds import planning_elevation_deg
 from gcs.layout.mission_geometry import Ground
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags
+from planner.coverage import ElevationMask
 
 # Ways whose coverage is worked out together.
 _AT_ONCE = 256
@@ -26,14 +25,14 @@ class Cover:
         keep = [i for i, s in enumerate(ground.mission.stations) if s.id not in excluded]
         self.radius = (ground.inner_ranges_m(ground.full_ranges_m) - off_m)[keep]
         self.centre = ground.stations_enu_m[keep]
-        lowest = ground.min_elevations_deg[keep]
+        mask = ElevationMask(ground.min_elevations_deg[keep])
         if not ground.is_local:
-            raised = np.minimum(planning_elevation_deg(lowest, ground.full_ranges_m[keep]), 89.9)
-            lowest = np.where(lowest > -90, raised, lowest)
-        self.slope = np.where(lowest > -90, np.tan(np.radians(np.maximum(lowest, 0.0))), np.nan)
+            raised = np.minimum(planning_elevation_deg(mask.lowest_deg, ground.full_ranges_m[keep]), 89.9)
+            mask = ElevationMask(np.where(mask.limited, raised, mask.lowest_deg))
+        self.slope = np.where(mask.limited, mask.slope, np.nan)
         self.off_m = off_m
 
-    def holds(self, begin: Array, end: Array) -> NDArray[np.bool_]:
+    def holds(self, begin: Array, end: Array) -> Flags:
         """``(...)``: whether each straight way from ``begin`` to ``end`` ``(..., 3)`` is covered all along."""
         flat_begin, flat_end = begin.reshape(-1, 3), end.reshape(-1, 3)
         result = np.zeros(len(flat_begin), dtype=bool)
@@ -41,7 +40,7 @@ class Cover:
             result[k : k + _AT_ONCE] = self._holds(flat_begin[k : k + _AT_ONCE], flat_end[k : k + _AT_ONCE])
         return result.reshape(begin.shape[:-1])
 
-    def _holds(self, begin: Array, end: Array) -> NDArray[np.bool_]:
+    def _holds(self, begin: Array, end: Array) -> Flags:
         # Only stations that reach the box around these ways: on a large map that is a few of many.
         box = np.concatenate([begin, end])
         beyond = np.maximum(np.maximum(box.min(axis=0) - self.centre, self.centre - box.max(axis=0)), 0.0)

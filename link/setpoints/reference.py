@@ -19,12 +19,11 @@ import math
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from link.setpoints.sampler import SetpointStream
 from link.setpoints.setpoint import Setpoint
+from planner.arrays import Array
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 BRAKING_SHARE = 0.35

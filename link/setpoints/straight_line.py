@@ -8,8 +8,9 @@ import numpy as np
 
 from gcs.plan import Plan
 from link.setpoints.local_projection import LocalMap
-from link.setpoints.reference import Array, Vector
+from link.setpoints.reference import Vector
 from link.setpoints.setpoint import Setpoint
+from planner.arrays import Array
 
 
 class StraightLine:
