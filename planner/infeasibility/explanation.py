@@ -335,10 +335,7 @@ def _move(problem: Problem, found: Infeasibility) -> dict[str, object] | None:
     best = int(np.argmin(distance))
     by_m, up, aside = float(distance[best]), float(altitude[best]), float(aside_m(altitude[:, None])[best, 0])
     # A billionth further in, so that rounding leaves it covered.
-    inwards = min(
-        1.0,
-        (aside + 1e-9 * float(problem.ranges_m.max())) / max(float(away[best]), 1e-9),
-    )
+    inwards = min(1.0, (aside + 1e-9 * float(problem.ranges_m.max())) / max(float(away[best]), 1e-9))
     to = np.array([*(point[:2] + inwards * (masts[best] - point[:2])), up])
     of = found.reason.partition("_")[0]
     moved: dict[str, Any] = {f"{of}_m": to}
@@ -385,9 +382,7 @@ def _station(problem: Problem, found: Infeasibility) -> dict[str, object] | None
         station_positions_m=np.vstack([problem.station_positions_m, point]),
         ranges_m=np.append(problem.ranges_m, 1.0),
         bound_ranges_m=None,
-        min_elevation_deg=None
-        if problem.min_elevation_deg is None
-        else np.append(problem.min_elevation_deg, UNMASKED_DEG),
+        min_elevation_deg=None if angles is None else np.append(angles, UNMASKED_DEG),
     )
     new = np.full(len(neighbours), problem.station_count)
     needed = float(range_to_meet_m(extended, new, neighbours, MIN_OVERLAP_M).max())
