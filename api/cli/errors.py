@@ -3,7 +3,7 @@
 CommandError
 ├── BadInputError         exit 2   the caller can mend it: what, where, its value, what is allowed, what to do
 ├── InfeasibleError       exit 3   the mission has no plan: why, where, and the smallest fix
-├── ContingencyError      exit 4   the flight ended in a contingency
+├── ContingencyError      exit 4   the flight ended in a contingency procedure
 └── FaultError            exit 1   ours
 
 A command raises; `api.cli.main` prints one block on standard error and ends with the exit code.

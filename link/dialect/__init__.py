@@ -1,9 +1,18 @@
 """The pinned MAVLink dialect: pymavlink's common.xml plus operator control, generated into one module.
 
 ``mavlink`` is the generated module: message classes ``MAVLink_<name>_message``, ids, enums and the ``MAVLink`` packer
-and parser, wire protocol 2.0. It is typed as ``Any``: generated code is not ours to annotate.
+and parser, wire protocol 2.0. It is typed as ``Any``: generated code is not ours to annotate. It is not committed:
+``link/dialect/regenerate.py`` makes it from ``skyrelay.xml``, at ``make setup`` and in every build.
 """
 
-from link.dialect import skyrelay as mavlink
+try:
+    import link.dialect.skyrelay as mavlink
+except ModuleNotFoundError as missing:
+    if missing.name != "link.dialect.skyrelay":
+        raise
+    raise ImportError(
+        "the MAVLink dialect link/dialect/skyrelay.py is generated and has not been made here: run `make setup` "
+        "(or `python link/dialect/regenerate.py`)"
+    ) from missing
 
 __all__ = ["mavlink"]

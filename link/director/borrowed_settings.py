@@ -35,8 +35,6 @@ CAPABILITIES = {
     RALLY: mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY,
     FENCE: mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE,
 }
-ARDUPILOT_FENCE = {"fence_type": geofence.POLYGONS, "fence_enabled": 1}
-"""Written in this order after the polygon, so that nothing but it comes into force."""
 
 Values = Mapping[str, Parameter | None]
 
@@ -76,7 +74,7 @@ class Loan:
         """ArduPilot: tell it whom to hear: the plan's stations and no other, or the first and then each in turn."""
         c, self._values = self._c, values
         way = c.request.handover_way
-        if c.profile.name != "ardupilot" or way in ("gate", "operator_control"):
+        if not c.profile.filters_station_ids or way in ("gate", "operator_control"):
             return []
         before = gcs_ownership.present(values)
         used = {station: c.system_ids[station] for station in c.monitor.links}
@@ -154,7 +152,7 @@ class Loan:
                 uncovered.append(safe[k].id)
                 continue
             place = ground.geo(at[k])
-            if c.profile.name == "px4":
+            if c.profile.rally_frame == AMSL:
                 item = rally_point(place.lat_deg, place.lon_deg, place.alt_amsl_m, frame=AMSL)
             else:
                 height_m = float(round(max(0.0, place.alt_amsl_m - ground_amsl_m)))
@@ -204,19 +202,17 @@ class Loan:
     def _enforce_fence(self, values: Values, laid: Check) -> Steps[Check]:
         """Bring the polygon into force; what its action does is said."""
         profile = self._c.profile
-        action = profile.measure(values, "fence_action")
-        does = geofence.ACTIONS[profile.name].get(-1 if action is None else int(action), "an action nobody knows")
+        does, harmless = profile.fence_action(values)
         told = f"{laid.message}; the vehicle answers a breach with: {does}"
-        if profile.name == "ardupilot":
-            enabled = bool(profile.measure(values, "fence_enabled"))
-            for key, value in ARDUPILOT_FENCE.items():
-                parameter = values.get(key)
-                # One that is in force already keeps its other kinds: they were judged.
-                new = int(parameter.value) | value if parameter is not None and enabled else value
-                if parameter is None or not (yield from self._set(parameter, new)):
-                    fix = "set FENCE_TYPE 4 and FENCE_ENABLE 1 by hand, or fly without --fence"
-                    return Check("fence", Level.FAILURE, f"{key} was not taken: the fence is not in force", fix=fix)
-        if action is None or int(action) in geofence.TEXT_ONLY[profile.name]:
+        enabled = bool(profile.measure(values, "fence_enabled"))
+        for key, value in profile.fence_switches.items():
+            parameter = values.get(key)
+            # One that is in force already keeps its other kinds: they were judged.
+            new = int(parameter.value) | value if parameter is not None and enabled else value
+            if parameter is None or not (yield from self._set(parameter, new)):
+                fix = "set FENCE_TYPE 4 and FENCE_ENABLE 1 by hand, or fly without --fence"
+                return Check("fence", Level.FAILURE, f"{key} was not taken: the fence is not in force", fix=fix)
+        if harmless or profile.measure(values, "fence_action") is None:
             fix = f"set {profile.parameter('fence_action').names[0]} if the vehicle is to act on it"
             return Check("fence", Level.WARNING, told, laid.value, fix=fix)
         return Check("fence", Level.PASS, told, laid.value)

@@ -100,7 +100,7 @@ class FlightCore:
             gate=gate,
             monitor=monitor,
             commander=Commander(gate.send, ids),
-            echoes=EchoTracker(runs_on=profile.name == "ardupilot", memory=math.ceil(ECHO_MEMORY_S * request.rate_hz)),
+            echoes=EchoTracker(runs_on=profile.target_runs_on, memory=math.ceil(ECHO_MEMORY_S * request.rate_hz)),
             utc=UtcScale(epoch_unix_s),
             system_ids=ids,
             local=LocalMap(plan.plane),

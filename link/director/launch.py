@@ -154,7 +154,7 @@ class Launch:
         """A vehicle that enforces other stations' ids answers nothing: say so, or open it with its own id."""
         c = self._c
         ticket = yield from self._command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,))
-        if ticket.result is not None or c.profile.name != "ardupilot":
+        if ticket.result is not None or not c.profile.filters_station_ids:
             return
         hint = "it may be locked to other stations' ids (MAV_OPTIONS bit 0)"
         if not c.request.rescue:

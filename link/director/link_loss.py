@@ -88,7 +88,7 @@ class Lapse:
         drifting = c.mode in (c.profile.offboard_mode, c.profile.hold_mode)
         if self._resort or (c.now_s - self._since_s >= c.request.hold_limit_s and drifting):
             self._command_last_resort()
-        elif self._pin and c.profile.name == "px4" and c.mode == c.profile.offboard_mode:
+        elif self._pin and c.profile.resumes_offboard_unasked and c.mode == c.profile.offboard_mode:
             self._asked_s = c.now_s
             c.start_mode(c.profile.hold_mode)
         return None
@@ -136,7 +136,7 @@ class Lapse:
         self._relay.leg = leg
         c.grant(station, "resume")
         c.adopt_origin(station)
-        if c.profile.name == "px4":
+        if c.profile.resumes_offboard_unasked:
             yield from self._mode(c.profile.hold_mode)
         still = StraightLine(c.plan, leg, here, here, speed_m_s=1.0, climb_m_s=1.0, accel_m_s2=1.0)
         if c.profile.stream_before_offboard_s > 0.0:

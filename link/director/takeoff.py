@@ -31,7 +31,7 @@ class TakeOff:
 
     def run(self, ground_amsl_m: float) -> Steps[None]:
         """All of it, from the ground at that altitude. Raises `Refused` while the vehicle is on the ground."""
-        if self._c.profile.name == "ardupilot":
+        if self._c.profile.climbs_by_command:
             yield from self._ardupilot(ground_amsl_m)
         else:
             yield from self._px4(ground_amsl_m)

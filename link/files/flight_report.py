@@ -30,7 +30,7 @@ from scipy.spatial import cKDTree
 from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
-from link.autopilot.registry import PROFILES
+from link.autopilot.registry import PROFILES, profile_of_setpoints
 from link.errors import ReportError
 from link.files.lateness import lateness_ms
 from link.files.link_report import History, LinkReport, ProbeCount
@@ -263,7 +263,7 @@ def _collect(
                 positions.setdefault(m.time_boot_ms, row)
             elif number == 49:
                 origin = EkfOrigin.from_message(m)
-    profile = PROFILES["ardupilot" if kinds.get(84, 0) > kinds.get(86, 0) else "px4"]
+    profile = profile_of_setpoints(kinds)
     if origin is not None:
         sent += [(*p[:2], *profile.lat_lon_deg(origin, p[2], p[3]), *p[4:]) for p in local]
     table = np.array(sorted(sent), dtype=float).reshape(-1, 8)

@@ -43,7 +43,7 @@ class Relay:
             return c.request.handover_way
         if math.isfinite(c.monitor.control_s):
             return "operator_control"
-        return "range" if c.profile.name == "ardupilot" else "gate"
+        return "range" if c.profile.filters_station_ids else "gate"
 
     @property
     def moving(self) -> bool:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from gcs.plan import OwnReturn, Place, Plan, ReturnRules
+from link.autopilot.parameter_catalogue import Values
 from link.autopilot.profile import AutopilotProfile
 from link.preflight.check import Check, Level
-from link.preflight.failsafe_parameters import Values
 
 
 def return_rules(

@@ -12,10 +12,11 @@ import numpy as np
 
 from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
+from link.autopilot.parameter_catalogue import Values
 from link.autopilot.profile import AutopilotProfile
 from link.microservices.parameter import Asking
 from link.preflight.check import Check, Level
-from link.preflight.failsafe_parameters import Values, judge_failsafes, judge_rally_limit
+from link.preflight.failsafe_parameters import judge_failsafes, judge_rally_limit
 from link.session.request import FlightRequest
 
 GRAVITY_M_S2 = 9.80665
@@ -41,15 +42,13 @@ def judge_performance(profile: AutopilotProfile, values: Values, plan: Plan) -> 
     velocity = plan.trajectory.evaluate(times, 1)
     speed = float(np.hypot(velocity[:, 0], velocity[:, 1]).max())
     climb, descent = float(velocity[:, 2].max()), float(-velocity[:, 2].min())
-    binding = profile.name == "px4"
     for key, asked, what, level in (
         ("max_speed", speed, "horizontal speed", Level.FAILURE),
         ("max_climb", climb, "climb", Level.WARNING),
         ("max_descent", descent, "descent", Level.WARNING),
     ):
         parameter = values.get(key)
-        # ArduPilot's own navigation speeds do not bound position targets; its lean does.
-        if parameter is None or not binding:
+        if parameter is None or not profile.binding_speeds:
             continue
         fits = asked <= profile.parameter(key).measure(parameter) * 1.001
         message = f"the plan's top {what} is {asked:.2f} m/s" + ("" if fits else "; the vehicle would fall behind")

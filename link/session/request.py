@@ -166,9 +166,10 @@ class FlightRequest:
             for name, words in allowed.items()
             if getattr(self, name) not in words
         ]
-        if self.handover_way == "parameter" and self.autopilot == "px4":
+        profile = PROFILES.get(self.autopilot)
+        if self.handover_way == "parameter" and profile is not None and not profile.filters_station_ids:
             allowed_ways = ", ".join(way for way in HANDOVER_WAYS if way != "parameter")
-            what = "PX4 has no parameter that says whom it hears"
+            what = f"{profile.title} has no parameter that says whom it hears"
             problems.append(Fault("handover_way", what, "parameter", allowed_ways, "choose gate"))
         key = self.signing_key
         if key is not None and not (key.startswith(("file:", "env:")) and len(key.split(":", 1)[1]) > 0):

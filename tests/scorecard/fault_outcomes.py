@@ -1,6 +1,6 @@
 """How a flight must end under every fault, by name: the table behind ``docs/faults.md`` and the tests that fly it.
 
-``python tests/scorecard/fault_outcomes.py`` from the root prints the page. An outcome is not what happened to happen:
+``python -m tests.scorecard.fault_outcomes`` from the root prints the page. An outcome is not what happened to happen:
 each row says why it is the one a careful operator would want. The flight is `flight_plans.relay_plan(2)`: two stations,
 one handover.
 """
@@ -11,16 +11,14 @@ import math
 import random
 import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "faults.md"
-sys.path[:0] = [path for path in (str(ROOT), str(ROOT / "tests")) if path not in sys.path]
+from sitl_fixtures.faults.table import FAULTS
+from sitl_fixtures.process.proxy import Impairment, LossyChannel
+from tests.support.paths import ROOT
+from tests.support.virtual_flight import Proxy, VirtualFlight
 
-from sitl_fixtures.faults.table import FAULTS  # noqa: E402
-from sitl_fixtures.process.proxy import Impairment, LossyChannel  # noqa: E402
-from tests.support.virtual_flight import Proxy, VirtualFlight  # noqa: E402
+PAGE = ROOT / "docs" / "faults.md"
 
 COMPLETED, CONTINGENCY, REFUSED, LOST, LAPSED = "completed", "contingency", "refused", "lost", "lapsed"
 STRANGE = "the vehicle holds a target that is not ours"
@@ -351,7 +349,7 @@ def page() -> str:
         f"{len(all_rows())} faults of the protocol, the network and the vehicle, injected by name (`skyrelay simulate"
         " --list-faults`; the network's through the lossy proxy), each flown on both autopilots' personalities in"
         " virtual time over two stations with one handover. `make soak` flies all; `make test` a sample. This page is"
-        " printed from the table the tests assert (`python tests/scorecard/fault_outcomes.py`).",
+        " printed from the table the tests assert (`python -m tests.scorecard.fault_outcomes`).",
         "",
         "Under every fault, whatever the row says: each setpoint obeyed was sent by the one station in control then,"
         " over its own link and under its own id; after a lapse no setpoint is sent without a person's word; a flight"

@@ -1,5 +1,6 @@
-"""Mutation testing of the modules an aircraft hangs on: ``python tests/scorecard/mutation.py link/transport/gate.py
-...`` from the root.
+"""Mutation testing of the modules an aircraft hangs on.
+
+``python -m tests.scorecard.mutation link/transport/gate.py ...`` from the root.
 
 Each mutant is the module with one small change: a comparison turned or moved by one step, ``and`` for ``or``, an
 operator or a constant changed, a condition negated, a result dropped, a statement left out. Its tests (`MODULES`) must
@@ -31,7 +32,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, ModuleType
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.paths import ROOT
+
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 MODULES: dict[str, tuple[str, ...]] = {
     "link/transport/gate.py": ("tests/link/transport/test_gate_edges.py", "tests/link/transport/test_gate.py"),
@@ -41,6 +43,8 @@ MODULES: dict[str, tuple[str, ...]] = {
     "link/wire/memory_file.py": ("tests/link/wire/test_signing_edges.py", "tests/link/wire/test_signing.py"),
     "link/clock.py": ("tests/link/test_clock_edges.py", "tests/link/test_clock.py"),
     "link/streamer/process.py": ("tests/link/streamer/test_loop.py",),
+    "link/streamer/recorder.py": ("tests/link/streamer/test_loop.py",),
+    "link/streamer/scheduling.py": ("tests/link/streamer/test_loop.py",),
 }
 """What is mutated, and the fast tests that must notice."""
 NOT_RUN = ("runTest", "killed_at_any_instant", "two_processes")
@@ -342,7 +346,6 @@ def main() -> int:
 
 if __name__ == "__main__":
     os.chdir(ROOT)
-    sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     # Loading every plugin there is takes five times as long as the tests do.
     os.environ |= {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "_hypothesis_pytestplugin,pytest_timeout"}

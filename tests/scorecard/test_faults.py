@@ -31,7 +31,7 @@ def test_every_fault_of_the_simulator_has_an_outcome_and_there_are_ninety_and_mo
 
 def test_the_page_is_the_table() -> None:
     text = table.PAGE.read_text(encoding="utf-8")
-    assert text == table.page(), "run `python tests/scorecard/fault_outcomes.py > docs/faults.md`"
+    assert text == table.page(), "run `python -m tests.scorecard.fault_outcomes > docs/faults.md`"
 
 
 @pytest.mark.slow

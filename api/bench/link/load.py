@@ -14,7 +14,7 @@ import urllib.error
 import urllib.request
 from typing import Any
 
-from api.processes.quick_mission import QUICK_MISSION
+from api.processes import QUICK_MISSION
 
 
 def plan_for_ever() -> None:

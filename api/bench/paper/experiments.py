@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from api.bench.paper.results import Results, fingerprint
-from api.bench.planner.cases import PAPER_OPTIONS, Case
-from api.bench.planner.compare import mean_and_worst
+from api.bench.planner import PAPER_OPTIONS, Case, mean_and_worst
 from gcs.layout import lay_out
 from gcs.mission import Mission
 from gcs.planning import plan_mission, product_version

@@ -16,7 +16,7 @@ import numpy as np
 
 from api.bench.paper import drawing
 from api.bench.paper.experiments import ALLOCATIONS, DELTA_T_S, curve_of, mission_times
-from api.bench.planner.cases import PAPER_OPTIONS, Case
+from api.bench.planner import PAPER_OPTIONS, Case
 from gcs.layout import lay_out
 from gcs.mission import Mission
 from planner import Problem

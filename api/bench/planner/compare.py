@@ -3,9 +3,9 @@
 "Ours" is this planner and "fast" its fast method. The reference is the paper's decoupling approach with alternating
 minimisation, written in plain cvxpy (`planner.experiments.cvxpy_reference`) with the paper's delta_T of 1 s.
 ``solve_s`` are processor seconds of this process, which other work on the machine does not change, from a problem to a
-certified trajectory, the same span for all. ``whole_s`` goes from a mission to its plan: layout, schedule, ways out and
-what the certificate says of the true earth are in it too, which the reference does not make. ``wall_s`` is that by the
-watch.
+certified trajectory, the same span for all.
+``whole_s`` goes from a mission to its plan: layout, schedule, contingencies and what the certificate says of the true
+earth are in it too, which the reference does not make. ``wall_s`` is that by the watch.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from api.cli import console
-from api.processes.quick_mission import QUICK_MISSION
+from api.processes import QUICK_MISSION
 
 if TYPE_CHECKING:
     from api.bench.link.rates import Rate

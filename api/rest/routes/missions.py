@@ -16,7 +16,7 @@ from api.rest import schemas
 from api.rest.dependencies import Wired
 from api.rest.routes import shared
 from api.rest.routes.shared import Cursor, IdempotencyKey, Limit, MissionId, RawBody, Version
-from api.service.services import Services
+from api.service import Services
 from gcs.exports import FORMATS as HANDOVER_FORMATS
 from gcs.mission import parse_mission_json
 from gcs.store import MissionRecord

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from api.rest.schemas.base import BAD_INPUT_EXAMPLE, INFEASIBLE_EXAMPLE, InfeasibleProblem, Problem
+from api.rest.schemas.base import BAD_INPUT_EXAMPLE, INFEASIBLE_EXAMPLE, InfeasibleDetails, ProblemDetails
 from api.rest.schemas.flights import (
     FlightDetail,
     FlightEvents,
     FlightPage,
     FlightSummary,
-    LaunchWord,
+    LaunchCommand,
     NewFlight,
+    OperatorCommand,
+    ReplanCommand,
     ReplanProposal,
-    ReplanWish,
-    ReplanWord,
-    Said,
+    ReplanRequest,
 )
 from api.rest.schemas.missions import (
     LOCAL_MISSION_EXAMPLE,
@@ -48,8 +48,8 @@ __all__ = [
     "FlightEvents",
     "FlightPage",
     "FlightSummary",
-    "InfeasibleProblem",
-    "LaunchWord",
+    "InfeasibleDetails",
+    "LaunchCommand",
     "LinkEntry",
     "MissionBody",
     "MissionDetail",
@@ -57,16 +57,16 @@ __all__ = [
     "MissionProblem",
     "MissionSummary",
     "NewFlight",
+    "OperatorCommand",
     "PlanBody",
-    "Problem",
+    "ProblemDetails",
     "RegisteredLink",
     "RegisteredStation",
     "RegisteredVehicle",
     "RegistryPage",
+    "ReplanCommand",
     "ReplanProposal",
-    "ReplanWish",
-    "ReplanWord",
-    "Said",
+    "ReplanRequest",
     "StationEntry",
     "Status",
     "VehicleEntry",
