@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible, PlanningFailed
 from gcs.geodesy.plane import Plane
@@ -12,8 +13,8 @@ from gcs.geodesy.range_bounds import bound_speed_factor, height_factor, planning
 from gcs.layout.mission_geometry import Ground, choose_plane
 from gcs.mission.model import Mission
 from planner import Limits, Problem, ProblemError
-from planner.arrays import Array, Indices
-from planner.coverage import ElevationMask
+
+Array = NDArray[np.float64]
 
 # Airspeed over the wind's that a fix asks for, as a part of it: with none to spare the vehicle hardly moves.
 WIND_SPARE = 0.005
@@ -25,7 +26,7 @@ class LaidOut:
 
     ground: Ground
     problem: Problem
-    stations: Indices
+    stations: NDArray[np.int64]
 
 
 def lay_out(mission: Mission, plane: Plane | None = None) -> LaidOut:
@@ -53,11 +54,11 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> LaidOut:
     # On the earth a way at altitude is longer than on the plane: the plane's speed limit is that much lower.
     k = 1.0 if ground.is_local else float(height_factor(limits.max_alt_amsl_m))
     farthest = float((np.hypot(at[stations, 0], at[stations, 1]) + bound[stations]).max())
-    mask = ElevationMask(ground.min_elevations_deg[stations])
+    elevation = ground.min_elevations_deg[stations]
     airspeed, turn = limits.max_airspeed_m_s, 0.0
     if not ground.is_local:
-        raised = np.minimum(planning_elevation_deg(mask.lowest_deg, ground.full_ranges_m[stations]), 89.9)
-        mask = ElevationMask(np.where(mask.limited, raised, mask.lowest_deg))
+        raised = np.minimum(planning_elevation_deg(elevation, ground.full_ranges_m[stations]), 89.9)
+        elevation = np.where(elevation > -90.0, raised, elevation)
         if airspeed is not None:
             turn = _wind_turn_m_s(ground, stations, bound)
             airspeed = (airspeed - turn) / k
@@ -95,7 +96,7 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> LaidOut:
             max_handovers=options.max_handovers,
             bound_ranges_m=None if ground.is_local else bound[stations],
             bound_speed_factor=1.0 if ground.is_local else k * bound_speed_factor(farthest, limits.min_alt_amsl_m),
-            min_elevation_deg=mask.lowest_deg if mask.limited.any() else None,
+            min_elevation_deg=elevation if (elevation > -90.0).any() else None,
             start_velocity_m_s=velocity,
             start_acceleration_m_s2=acceleration,
         )
@@ -129,7 +130,7 @@ def _no_airspeed(mission: Mission, standing_m_s: float) -> MissionInfeasible:
     )
 
 
-def _wind_turn_m_s(ground: Ground, stations: Indices, reach_m: Array) -> float:
+def _wind_turn_m_s(ground: Ground, stations: NDArray[np.int64], reach_m: Array) -> float:
     """How far the wind, constant along true axes, can differ from the same wind along the plane's, within all ranges.
 
     The axes turn with the distance from the origin; the largest difference on rings around the stations, a twentieth

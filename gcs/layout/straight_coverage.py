@@ -7,11 +7,12 @@ end to end.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcs.geodesy.range_bounds import planning_elevation_deg
 from gcs.layout.mission_geometry import Ground
-from planner.arrays import Array, Flags
-from planner.coverage import ElevationMask
+
+Array = NDArray[np.float64]
 
 # Ways whose coverage is worked out together.
 _AT_ONCE = 256
@@ -25,14 +26,14 @@ class Cover:
         keep = [i for i, s in enumerate(ground.mission.stations) if s.id not in excluded]
         self.radius = (ground.inner_ranges_m(ground.full_ranges_m) - off_m)[keep]
         self.centre = ground.stations_enu_m[keep]
-        mask = ElevationMask(ground.min_elevations_deg[keep])
+        lowest = ground.min_elevations_deg[keep]
         if not ground.is_local:
-            raised = np.minimum(planning_elevation_deg(mask.lowest_deg, ground.full_ranges_m[keep]), 89.9)
-            mask = ElevationMask(np.where(mask.limited, raised, mask.lowest_deg))
-        self.slope = np.where(mask.limited, mask.slope, np.nan)
+            raised = np.minimum(planning_elevation_deg(lowest, ground.full_ranges_m[keep]), 89.9)
+            lowest = np.where(lowest > -90, raised, lowest)
+        self.slope = np.where(lowest > -90, np.tan(np.radians(np.maximum(lowest, 0.0))), np.nan)
         self.off_m = off_m
 
-    def holds(self, begin: Array, end: Array) -> Flags:
+    def holds(self, begin: Array, end: Array) -> NDArray[np.bool_]:
         """``(...)``: whether each straight way from ``begin`` to ``end`` ``(..., 3)`` is covered all along."""
         flat_begin, flat_end = begin.reshape(-1, 3), end.reshape(-1, 3)
         result = np.zeros(len(flat_begin), dtype=bool)
@@ -40,7 +41,7 @@ class Cover:
             result[k : k + _AT_ONCE] = self._holds(flat_begin[k : k + _AT_ONCE], flat_end[k : k + _AT_ONCE])
         return result.reshape(begin.shape[:-1])
 
-    def _holds(self, begin: Array, end: Array) -> Flags:
+    def _holds(self, begin: Array, end: Array) -> NDArray[np.bool_]:
         # Only stations that reach the box around these ways: on a large map that is a few of many.
         box = np.concatenate([begin, end])
         beyond = np.maximum(np.maximum(box.min(axis=0) - self.centre, self.centre - box.max(axis=0)), 0.0)

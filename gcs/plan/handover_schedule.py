@@ -10,12 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import elementwise
 
 from gcs.layout.mission_geometry import Ground
 from planner import Trajectory
-from planner.arrays import Array, Indices
 from planner.coverage import ElevationMask, Stations, coverage_windows
+
+Array = NDArray[np.float64]
 
 # Looks inside the enclosure of a window's end, and inside a window where elevation counts.
 _LOOKS = 17
@@ -112,13 +114,14 @@ def _motion(ground: Ground, place: Array, velocity: Array) -> tuple[Array, Array
     return lat, lon, speed, course
 
 
-def _windows(ground: Ground, trajectory: Trajectory, stations: Indices, times: Array) -> tuple[Array, Array]:
+def _windows(ground: Ground, trajectory: Trajectory, stations: NDArray[np.int64], times: Array) -> tuple[Array, Array]:
     """The longest spans around ``times`` in which each of ``stations`` truly covers the vehicle."""
-    at, mask = ground.stations_enu_m, ElevationMask(ground.min_elevations_deg).at(stations)
+    at, lowest = ground.stations_enu_m, ground.min_elevations_deg
     full = ground.full_ranges_m
 
     def around(radius: Array, *, cone: bool) -> tuple[Array, Array]:
-        covering = Stations(at[stations], radius[stations], mask if cone else None)
+        mask = ElevationMask(lowest[stations]) if cone else None
+        covering = Stations(at[stations], radius[stations], mask)
         return coverage_windows(trajectory, covering, times, slack_m=_ROUNDING_M)
 
     if ground.is_local:
@@ -127,7 +130,7 @@ def _windows(ground: Ground, trajectory: Trajectory, stations: Indices, times: A
     sooner, later = around(ground.outer_ranges_m(full), cone=False)
     late = _first_outside(ground, trajectory, stations, late, np.maximum(later, late), _LOOKS)
     early = _first_outside(ground, trajectory, stations, early, np.minimum(sooner, early), _LOOKS)
-    which = np.flatnonzero(mask.limited)
+    which = np.flatnonzero(lowest[stations] > -90)
     if len(which):
         looks = 2 + int(trajectory.duration_s / _ELEVATION_STEP_S)
         late[which] = _first_outside(ground, trajectory, stations[which], times[which], late[which], looks)
@@ -136,7 +139,7 @@ def _windows(ground: Ground, trajectory: Trajectory, stations: Indices, times: A
 
 
 def _first_outside(
-    ground: Ground, trajectory: Trajectory, stations: Indices, from_s: Array, to_s: Array, looks: int
+    ground: Ground, trajectory: Trajectory, stations: NDArray[np.int64], from_s: Array, to_s: Array, looks: int
 ) -> Array:
     """Going from ``from_s`` to ``to_s``: where coverage is first lost, ``to_s`` where it never is.
 
