@@ -15,7 +15,7 @@ from scipy.optimize import elementwise
 
 from gcs.layout.mission_geometry import Ground
 from planner import Trajectory
-from planner.coverage import Stations, coverage_windows
+from planner.coverage import ElevationMask, Stations, coverage_windows
 
 Array = NDArray[np.float64]
 
@@ -120,8 +120,8 @@ def _windows(ground: Ground, trajectory: Trajectory, stations: NDArray[np.int64]
     full = ground.full_ranges_m
 
     def around(radius: Array, *, cone: bool) -> tuple[Array, Array]:
-        angles = lowest[stations] if cone else None
-        covering = Stations(at[stations], radius[stations], angles)
+        mask = ElevationMask(lowest[stations]) if cone else None
+        covering = Stations(at[stations], radius[stations], mask)
         return coverage_windows(trajectory, covering, times, slack_m=_ROUNDING_M)
 
     if ground.is_local:

@@ -10,6 +10,7 @@ from gcs.errors import PlanningFailed
 from gcs.layout.planning_problem import LaidOut, lay_out
 from gcs.plan.model import Plan
 from planner import Certificate, Solution, Trajectory, certify
+from planner.coverage import ElevationMask
 from planner.routing import lower_bound
 
 
@@ -66,5 +67,5 @@ def _lower_bound_s(laid: LaidOut, solution: Solution) -> float:
         wider = replace(wider, max_airspeed_m_s=(limits.max_airspeed_m_s + taken_off) * problem.bound_speed_factor)
     lowest = laid.ground.min_elevations_deg[laid.stations]
     # What truly is above e shows in the plane above e less 0.1 degree (deflection of the vertical, stretch).
-    lowest = np.where(lowest > 0.1, lowest - 0.1, -90.0)
+    lowest = np.where(lowest > 0.1, lowest - 0.1, ElevationMask.none(len(lowest)).lowest_deg)
     return lower_bound(replace(problem, limits=wider, min_elevation_deg=lowest)).time_s

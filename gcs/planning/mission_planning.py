@@ -11,9 +11,6 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gcs.errors import PlanningFailed
 from gcs.geodesy.plane import Plane
 from gcs.mission.model import Mission
@@ -25,7 +22,6 @@ from gcs.planning.solve import PlannerLike, laid_out, solve
 from gcs.timestamps import utc_text
 from planner import Method, Planner, Trajectory
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 

@@ -19,7 +19,6 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible
 from gcs.mission.model import LocalPosition, Mission, Position, StartState
@@ -30,8 +29,7 @@ from gcs.planning.certification import recertify
 from gcs.planning.mission_planning import Progress, plan_mission
 from gcs.planning.solve import PlannerLike
 from planner import Method, Trajectory, bezier
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Indices
 
 QUINTIC = 5
 LEAST_LEFT_S = 1.0
@@ -263,7 +261,7 @@ def _clear_of_joints(curve: Trajectory, time_s: float) -> tuple[float, float]:
     return knot_s, min(knot_s + LEAST_PIECE_S, float(curve.knots_s[before + 1]))
 
 
-def _until(curve: Trajectory, time_s: float) -> tuple[Array, Array, NDArray[np.int64]]:
+def _until(curve: Trajectory, time_s: float) -> tuple[Array, Array, Indices]:
     """Control points, durations and stations of a curve up to a time of it."""
     parts = curve.split([time_s])
     count = int(np.searchsorted(parts.knots_s, time_s + _SAME_S, side="right")) - 1
@@ -368,7 +366,7 @@ def _braking(curve: Trajectory, begin_s: float, stand_s: float, lasts_s: float, 
     return bezier.elevate(points, degree), np.full(count, each_s)
 
 
-def _nothing(degree: int) -> tuple[Array, Array, NDArray[np.int64]]:
+def _nothing(degree: int) -> tuple[Array, Array, Indices]:
     return np.empty((0, degree + 1, 3)), np.empty(0), np.empty(0, dtype=np.int64)
 
 

@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gcs.plan import Plan
@@ -36,8 +35,7 @@ from link.errors import ReportError
 from link.files.grid_lateness import grid_lateness_ms
 from link.files.link_report import History, LinkReport, ProbeCount
 from link.files.tlog import TlogRecord, read_tlog
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags, Indices
 
 PATH_STEP_S = 0.02
 ON_PATH_M = 0.5
@@ -201,13 +199,13 @@ class _Sent:
     """Setpoints: arrays of one length; velocity (N, 3) east, north, up along true axes."""
 
     time_s: Array
-    system_id: NDArray[np.int64]
+    system_id: Indices
     lat_deg: Array
     lon_deg: Array
     alt_amsl_m: Array
     velocity_m_s: Array
 
-    def only(self, keep: NDArray[np.bool_]) -> _Sent:
+    def only(self, keep: Flags) -> _Sent:
         return _Sent(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
@@ -332,7 +330,7 @@ def _launch(time_s: Array, plan_s: Array, off_m: Array, plan: Plan) -> float:
     return float(np.median(time_s[first] - plan_s[first]))
 
 
-def _last_moving(flown: NDArray[np.bool_], place: Array, velocity_m_s: Array, plan: Plan) -> int:
+def _last_moving(flown: Flags, place: Array, velocity_m_s: Array, plan: Plan) -> int:
     """The index where the stream of the plan ends: its first sample at rest at the end, or the last one on the path."""
     from_end = np.linalg.norm(place - plan.trajectory.evaluate(plan.mission_time_s), axis=-1)
     arrived = np.flatnonzero(flown & (from_end < 0.1) & (np.linalg.norm(velocity_m_s, axis=-1) < 1e-5))
@@ -402,7 +400,7 @@ def _handovers(sent: _Sent, errors: _Errors, plan: Plan, launched_s: float) -> t
     return tuple(result)
 
 
-def _between(times: Array, low: float, high: float) -> NDArray[np.bool_]:
+def _between(times: Array, low: float, high: float) -> Flags:
     return (times >= low) & (times <= high)
 
 
