@@ -1,8 +1,8 @@
 """A mission laid on its plane: where everything is, and how far it truly is from there.
 
-`Ground` is what planning, schedule and contingencies measure with. In a WGS84 mission distances are straight lines
-through space (altitudes taken as ellipsoidal heights); in a local mission they are those of the plane, which is the
-world there.
+`MissionGeometry` is what planning, schedule and contingencies measure with. In a WGS84 mission distances are straight
+lines through space (altitudes taken as ellipsoidal heights); in a local mission they are those of the plane, which is
+the world there.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ def choose_plane(mission: Mission) -> Plane:
 
 
 @dataclass(frozen=True)
-class Ground:
+class MissionGeometry:
     """A mission and its plane."""
 
     mission: Mission
     plane: Plane
 
-    def renamed(self, mission: Mission) -> Ground:
-        """The ground of ``mission``, which has the same places under the same or other names and ids."""
-        other = Ground(mission, self.plane)
+    def renamed(self, mission: Mission) -> MissionGeometry:
+        """The geometry of ``mission``, which has the same places under the same or other names and ids."""
+        other = MissionGeometry(mission, self.plane)
         for name in ("stations_enu_m", "full_ranges_m", "min_elevations_deg", "_antennas"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]

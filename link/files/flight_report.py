@@ -370,7 +370,7 @@ def _margin(heard: _Heard, sent: _Sent, plan: Plan, from_s: float, to_s: float) 
     at = np.clip(np.searchsorted(sent.time_s, heard.time_s[inside], side="right") - 1, 0, len(sent.time_s) - 1)
     names = _station_names(plan)
     index = np.array([plan.mission.station_index(names[int(i)]) for i in sent.system_id[at]])
-    left = -plan.ground.outside_m(index, places)
+    left = -plan.geometry.outside_m(index, places)
     worst = int(left.argmin())
     return float(left[worst]), plan.mission.stations[index[worst]].id
 

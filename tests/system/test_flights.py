@@ -25,7 +25,7 @@ import pytest
 
 from gcs.flight import FlightState
 from gcs.geodesy.ellipsoid import slant_range_m
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 from link.files.flight_report import report_flight
@@ -52,7 +52,7 @@ AUTOPILOTS = ("ardupilot", "px4")
 def plan_of(name: str) -> Plan:
     document: dict[str, Any] = json.loads((MISSIONS / name).read_text(encoding="utf-8"))
     document.pop("options", None)
-    return plan_mission(Mission.from_document(document), fast=True)
+    return plan_mission(read_mission(document), fast=True)
 
 
 @pytest.mark.slow

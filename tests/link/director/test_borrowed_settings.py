@@ -50,7 +50,7 @@ def test_the_covered_safe_points_become_rally_points_and_go_again_after_the_flig
     expected = []
     for point in plan.mission.safe_points:
         if point.id in FIELDS:
-            place = plan.ground.geo(plan.ground.enu_m([point.position])[0])
+            place = plan.geometry.geo(plan.geometry.enu_m([point.position])[0])
             # PX4 takes it above sea level; ArduPilot above home, which is 35 m up: 28 m is below it.
             altitude_m = GROUND_M if autopilot == "px4" else 0.0
             expected.append((round(place.lat_deg * 1e7), round(place.lon_deg * 1e7), altitude_m))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcs.flight import FlightState, TransitionError, Word
+from gcs.flight import FlightState, OperatorCommand, TransitionError
 from gcs.mission.model import LocalPosition
 from link.session.context import plain
 from tests.support.flight_plans import relay_plan
@@ -120,7 +120,7 @@ def test_the_ground_waits_for_the_word_and_judges_again_when_it_comes_late(autop
     assert one.core.state is FlightState.READY
     assert one.core.status()["preflight_age_s"] > 60.0
     assert not one.vehicle.autopilot.armed
-    one.core.command(Word.LAUNCH, by="pilot")
+    one.core.command(OperatorCommand.LAUNCH, by="pilot")
     one.run(until=lambda: one.core.state.airborne, limit_s=60.0)
     assert one.states.count("preflight") == 2
     assert one.core.state.airborne
