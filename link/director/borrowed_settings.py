@@ -17,7 +17,7 @@ from link.dialect import mavlink
 from link.errors import MissionItemError
 from link.handover import gcs_ownership
 from link.handover.gcs_ownership import Keeper, Ownership
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.mission_download import MissionDownload, MissionTransfer
 from link.microservices.mission_item import AMSL, FENCE, RALLY, RELATIVE, TYPE_NAMES, MissionItem, rally_point
 from link.microservices.mission_upload import MissionClear, MissionUpload, difference
@@ -42,14 +42,14 @@ Values = Mapping[str, Parameter | None]
 def _covered(plan: Plan, enu_m: NDArray[np.float64]) -> bool:
     """Whether any station that may be used has a place in range."""
     allowed = [k for k, s in enumerate(plan.mission.stations) if s.id not in plan.mission.options.excluded_stations]
-    outside = plan.ground.outside_m(np.array(allowed), np.broadcast_to(enu_m, (len(allowed), 3)))
+    outside = plan.geometry.outside_m(np.array(allowed), np.broadcast_to(enu_m, (len(allowed), 3)))
     return bool((outside <= 0.0).any())
 
 
 class Loan:
     """What is lent for one flight. The steps want a station in control and the vehicle disarmed."""
 
-    def __init__(self, context: FlightContext, parameters: ParameterClient, desk: MissionDesk) -> None:
+    def __init__(self, context: FlightContext, parameters: ParameterClient, desk: MissionClient) -> None:
         self._c = context
         self._parameters = parameters
         self._desk = desk
@@ -142,7 +142,7 @@ class Loan:
         safe = plan.mission.safe_points
         if not safe:
             return [], []
-        ground = plan.ground
+        ground = plan.geometry
         at = ground.enu_m([point.position for point in safe])
         path = geofence.path_m(plan)
         named, uncovered = [], []

@@ -15,26 +15,26 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word, check_word
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError, check_operator_command
 from link.autopilot.registry import PROFILES
-from link.clock import Lateness, TickGrid, UtcScale
+from link.clock import TickGrid, TickLateness, UtcScale
 from link.dialect import mavlink
 from link.director.airborne import Airborne
 from link.director.launch import Launch
 from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
 from link.microservices.command import Commander
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
 from link.session.context import VEHICLE_STATION, FlightContext, plain
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
-from link.setpoints.local_projection import LocalMap
-from link.telemetry.link_path import FAILOVER_S, IDLE_FAILOVER_S, Carrier
+from link.setpoints.local_projection import LocalProjection
+from link.telemetry.link_path import FAILOVER_S, IDLE_FAILOVER_S, LinkPath
 from link.telemetry.setpoint_echo import EchoTracker
 from link.telemetry.vehicle_monitor import VehicleMonitor
 from link.transport.gate import TransmitterGate
-from link.transport.url import STREAM_SCHEMES, parse_url
+from link.transport.url import parse_url
 from link.wire.codec import StationCodec
 
 __all__ = ["FlightCore", "FlightRequest"]
@@ -89,7 +89,7 @@ class FlightCore:
         self._decoders = {}
         for url, sharing in self._sharing.items():
             codec = self.codecs[sharing[0]]
-            stream = parse_url(url).scheme in STREAM_SCHEMES
+            stream = parse_url(url).is_stream
             self._decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
         monitor = VehicleMonitor(self.stations, vehicle, frozenset(system_ids.values()) | {vehicle}, urls)
         ids = {**system_ids, **{s + VEHICLE_STATION: vehicle for s in self.stations}}
@@ -103,22 +103,22 @@ class FlightCore:
             echoes=EchoTracker(runs_on=profile.target_runs_on, memory=math.ceil(ECHO_MEMORY_S * request.rate_hz)),
             utc=UtcScale(epoch_unix_s),
             system_ids=ids,
-            local=LocalMap(plan.plane),
+            local=LocalProjection(plan.plane),
             now_s=now_s,
         )
         self.parameters = ParameterClient(gate.send, vehicle, profile.parameter_encoding)
-        self.missions = MissionDesk(gate.send)
+        self.missions = MissionClient(gate.send)
         self.launch = Launch(self.context, self.parameters, self.missions)
         self.airborne = Airborne(self.context, self.launch)
         self.announcer = Announcer(self.context, self.airborne)
-        self.lateness = Lateness()
+        self.lateness = TickLateness()
         self.finished = False
         self._on_frame = on_frame
         self._grid = TickGrid(request.rate_hz, now_s)
         self._procedure: Steps[None] | None = self.launch.run()
         self._restoring: Steps[None] | None = None
         self._streams: Steps[None] | None = None
-        self._streamed: tuple[int, Carrier] | None = None
+        self._streamed: tuple[int, LinkPath] | None = None
         self._beat: dict[str, float] = {}
         self._probed: dict[str, float] = {}
         self._near: set[str | None] = set()
@@ -139,7 +139,7 @@ class FlightCore:
         """Take what came in over a station's link, or the one of its links named. Never raises for what is in it."""
         c = self.context
         c.now_s = max(c.now_s, now_s)
-        url = url or c.monitor.links[station_id].carriers[0].url
+        url = url or c.monitor.links[station_id].paths[0].url
         for message in self._decoders[url].decode(data):
             if self._on_frame is not None:
                 self._on_frame(c.now_s, bytes(message.get_msgbuf()))
@@ -190,7 +190,7 @@ class FlightCore:
         """The URLs a frame of a station goes out over: a probe over all its links, all else over the one that sends."""
         link = self.context.monitor.links[station_id]
         if int.from_bytes(frame[7:10], "little") == mavlink.MAVLINK_MSG_ID_TIMESYNC:
-            return tuple(carrier.url for carrier in link.carriers)
+            return tuple(path.url for path in link.paths)
         return (link.active.url,)
 
     def take_outgoing(self) -> list[tuple[str, bytes]]:
@@ -292,7 +292,7 @@ class FlightCore:
         """Let another of a station's links send where it is proved and the present one is not."""
         c = self.context
         for link in c.monitor.links.values():
-            if len(link.carriers) == 1:
+            if len(link.paths) == 1:
                 continue
             near = link.station_id in self._near or not c.state.airborne
             before = link.choose(FAILOVER_S if near else IDLE_FAILOVER_S)
@@ -323,7 +323,7 @@ class FlightCore:
 
     def command(
         self,
-        word: Word | str,
+        word: OperatorCommand | str,
         *,
         by: str = "",
         handover: int | None = None,
@@ -334,57 +334,56 @@ class FlightCore:
         join_s: float | None = None,
         leave_s: float | None = None,
     ) -> None:
-        """A person's word.
+        """An operator command.
 
-        ``handover`` is the index that `Word.READY`, `Word.ACCEPT` and `Word.REFUSE` are about; ``until_s`` the time of
-        the plan for `Word.AUTHORISE`. ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming``
-        (from `make_ready`), ``join_s`` and ``leave_s`` are for `Word.REPLAN`: see
-        `link.director.airborne.Airborne.adopt`.
+        ``handover`` is the index that READY, ACCEPT and REFUSE are about; ``until_s`` the plan's time for AUTHORISE.
+        ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming`` (from `make_ready`), ``join_s``
+        and ``leave_s`` are for REPLAN: see `link.director.airborne.Airborne.adopt`.
 
         Raises `gcs.flight.TransitionError` (also for an unknown word) and changes nothing then.
         """
         c = self.context
         try:
-            word = Word(word)
+            word = OperatorCommand(word)
         except ValueError:
-            raise TransitionError(f"unknown word {word!r}; allowed is {', '.join(sorted(Word))}") from None
+            raise TransitionError(f"unknown word {word!r}; allowed is {', '.join(sorted(OperatorCommand))}") from None
         if plan_sha256 is not None and plan_sha256 != c.plan.plan_sha256:
             raise TransitionError(f"'{word}' is for another plan ({plan_sha256[:12]}...) than the one being flown")
-        check_word(word, c.state)
-        if word in (Word.READY, Word.ACCEPT, Word.REFUSE) and handover is None:
+        check_operator_command(word, c.state)
+        if word in (OperatorCommand.READY, OperatorCommand.ACCEPT, OperatorCommand.REFUSE) and handover is None:
             raise TransitionError(f"'{word}' needs the index of a handover")
-        if word is Word.AUTHORISE and (until_s is None or not until_s >= 0.0):
+        if word is OperatorCommand.AUTHORISE and (until_s is None or not until_s >= 0.0):
             raise TransitionError("'authorise' needs until_s, a time of the plan, 0 or more")
-        if word is Word.REPLAN:
+        if word is OperatorCommand.REPLAN:
             if upcoming is None:
                 raise TransitionError("'replan' needs a plan made ready for this flight")
             self.airborne.adopt(upcoming, join_s, leave_s)
         else:
             self._obey(word, handover or 0, until_s or 0.0, reason or by or "word")
-        c.emit(EventKind.WORD, word=word.value, by=by, handover=handover, until_s=until_s, reason=reason)
+        c.emit(EventKind.OPERATOR_COMMAND, word=word.value, by=by, handover=handover, until_s=until_s, reason=reason)
 
     def make_ready(self, document: Mapping[str, Any]) -> NextPlan:
-        """A plan document judged and prepared for `Word.REPLAN`; slow, and safe in a thread beside the flight.
+        """A plan document judged and prepared for REPLAN; slow, and safe in a thread beside the flight.
 
         Raises `TransitionError` with the reasons why this flight cannot fly it.
         """
         return make_ready(document, self.context, self.launch.values)
 
-    def _obey(self, word: Word, handover: int, until_s: float, reason: str) -> None:
+    def _obey(self, word: OperatorCommand, handover: int, until_s: float, reason: str) -> None:
         air = self.airborne
-        if word is Word.LAUNCH:
+        if word is OperatorCommand.LAUNCH:
             self.launch.launch_word = True
-        elif word is Word.HOLD:
+        elif word is OperatorCommand.HOLD:
             air.hold()
-        elif word is Word.RESUME:
+        elif word is OperatorCommand.RESUME:
             air.resume()
-        elif word is Word.ABORT:
+        elif word is OperatorCommand.ABORT:
             self._abort(reason)
-        elif word is Word.LAND:
+        elif word is OperatorCommand.LAND:
             self._land()
-        elif word is Word.AUTHORISE:
+        elif word is OperatorCommand.AUTHORISE:
             air.authorise(until_s)
-        elif word is Word.REFUSE:
+        elif word is OperatorCommand.REFUSE:
             air.relay.refuse(handover, reason)
         else:
             air.relay.accept(handover)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gcs.flight import EventKind, FlightState
-from gcs.plan import Place, own_returns
+from gcs.plan import Place, failsafe_returns
 from link.dialect import mavlink
 from link.director.borrowed_settings import Loan
 from link.director.takeoff import TakeOff
@@ -19,11 +19,11 @@ from link.handover import gcs_ownership
 from link.handover.gcs_ownership import Ownership
 from link.handover.handover_chain import attempt_time_s
 from link.microservices.command import Ticket
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
 from link.preflight.check import Check, Level, worst, worst_first
-from link.preflight.failsafe_return import judge_own_return, return_rules
+from link.preflight.failsafe_return import judge_failsafe_return, return_rules
 from link.preflight.geofence import judge_limits
 from link.preflight.identity import Identity, judge_identity
 from link.preflight.link import judge_link
@@ -63,7 +63,7 @@ STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
 class Launch:
     """The procedure on the ground and the climb. ``send_hold`` streams the setpoint it is given every tick."""
 
-    def __init__(self, context: FlightContext, parameters: ParameterClient, missions: MissionDesk) -> None:
+    def __init__(self, context: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
         self._c = context
         self.parameters = parameters
         self.loan = Loan(context, parameters, missions)
@@ -243,7 +243,7 @@ class Launch:
             ),
             judge_origin(c.origin),
             judge_clock(None if told is None else told[0], 0.0 if told is None else told[1], simulated=simulated),
-            judge_plan(c.plan, tuple(dict.fromkeys(c.plan.station_ids)), words=c.request.operator_words),
+            judge_plan(c.plan, tuple(dict.fromkeys(c.plan.station_ids)), operator_commands=c.request.operator_words),
         ]
 
     def _read(self) -> Steps[None]:
@@ -334,8 +334,8 @@ class Launch:
         checks += yield from loan.take_rally(self.ground_amsl_m)
         checks += yield from loan.take_fence(self.values, home_enu_m)
         rules = return_rules(c.profile, self.values, c.plan, home_enu_m, loan.points)
-        returns = own_returns(c.plan.ground, c.plan.trajectory, rules)
-        return [*checks, *judge_own_return(c.plan, rules, returns)]
+        returns = failsafe_returns(c.plan.geometry, c.plan.trajectory, rules)
+        return [*checks, *judge_failsafe_return(c.plan, rules, returns)]
 
     def restore(self) -> Steps[None]:
         """Give back what was changed in the vehicle for this flight; on the ground, disarmed."""

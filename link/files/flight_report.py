@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gcs.plan import Plan
@@ -33,11 +32,10 @@ from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
 from link.autopilot.registry import PROFILES, profile_of_setpoints
 from link.errors import ReportError
-from link.files.lateness import lateness_ms
+from link.files.grid_lateness import grid_lateness_ms
 from link.files.link_report import History, LinkReport, ProbeCount
 from link.files.tlog import TlogRecord, read_tlog
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags, Indices
 
 PATH_STEP_S = 0.02
 ON_PATH_M = 0.5
@@ -119,7 +117,7 @@ class FlightReport:
             "Lateness      "
             f"p50 {self.lateness_p50_ms:.1f}, p99 {self.lateness_p99_ms:.1f}, worst {self.lateness_worst_ms:.1f} ms"
             + ("" if self.skipped_ticks is None else f", {self.skipped_ticks} skipped (the streamer's own count)"),
-            "Links",
+            "C2 links",
             *(f"  {link.to_text()}" for link in self.links),
             f"Handovers     {len(self.handovers)}",
         ]
@@ -201,13 +199,13 @@ class _Sent:
     """Setpoints: arrays of one length; velocity (N, 3) east, north, up along true axes."""
 
     time_s: Array
-    system_id: NDArray[np.int64]
+    system_id: Indices
     lat_deg: Array
     lon_deg: Array
     alt_amsl_m: Array
     velocity_m_s: Array
 
-    def only(self, keep: NDArray[np.bool_]) -> _Sent:
+    def only(self, keep: Flags) -> _Sent:
         return _Sent(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
@@ -332,7 +330,7 @@ def _launch(time_s: Array, plan_s: Array, off_m: Array, plan: Plan) -> float:
     return float(np.median(time_s[first] - plan_s[first]))
 
 
-def _last_moving(flown: NDArray[np.bool_], place: Array, velocity_m_s: Array, plan: Plan) -> int:
+def _last_moving(flown: Flags, place: Array, velocity_m_s: Array, plan: Plan) -> int:
     """The index where the stream of the plan ends: its first sample at rest at the end, or the last one on the path."""
     from_end = np.linalg.norm(place - plan.trajectory.evaluate(plan.mission_time_s), axis=-1)
     arrived = np.flatnonzero(flown & (from_end < 0.1) & (np.linalg.norm(velocity_m_s, axis=-1) < 1e-5))
@@ -372,7 +370,7 @@ def _margin(heard: _Heard, sent: _Sent, plan: Plan, from_s: float, to_s: float) 
     at = np.clip(np.searchsorted(sent.time_s, heard.time_s[inside], side="right") - 1, 0, len(sent.time_s) - 1)
     names = _station_names(plan)
     index = np.array([plan.mission.station_index(names[int(i)]) for i in sent.system_id[at]])
-    left = -plan.ground.outside_m(index, places)
+    left = -plan.geometry.outside_m(index, places)
     worst = int(left.argmin())
     return float(left[worst]), plan.mission.stations[index[worst]].id
 
@@ -402,12 +400,12 @@ def _handovers(sent: _Sent, errors: _Errors, plan: Plan, launched_s: float) -> t
     return tuple(result)
 
 
-def _between(times: Array, low: float, high: float) -> NDArray[np.bool_]:
+def _between(times: Array, low: float, high: float) -> Flags:
     return (times >= low) & (times <= high)
 
 
 def _lateness(time_s: Array) -> dict[str, float]:
-    late_ms = lateness_ms(time_s)
+    late_ms = grid_lateness_ms(time_s)
     return {
         "p50_ms": float(np.quantile(late_ms, 0.5)),
         "p99_ms": float(np.quantile(late_ms, 0.99)),
