@@ -137,8 +137,8 @@ SURFACE = {
     "api.rest": "create_app",
     "api.rest.schemas": (
         "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE FlightDetail "
-        "FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
-        "MissionDetail MissionPage MissionProblem MissionSummary NewFlight OperatorCommand PlanBody "
+        "CommandBody FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
+        "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody "
         "ProblemDetails RegisteredLink RegisteredStation RegisteredVehicle RegistryPage ReplanCommand "
         "ReplanProposal ReplanRequest StationEntry Status VehicleEntry VersionList"
     ),
