@@ -13,6 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
+from gcs.timestamps import utc_text
+
 # Counts through a suspended machine (Linux), unlike CLOCK_MONOTONIC: after a suspend the C2 link is lost, and the
 # flight must notice.
 _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", None)
@@ -113,7 +115,7 @@ class UtcScale:
     def text(self, now_s: float) -> str:
         """RFC 3339 in UTC, to the millisecond."""
         instant = datetime.fromtimestamp(0, UTC) + timedelta(seconds=self.unix_s(now_s))
-        return instant.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        return utc_text(instant, "milliseconds")
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def fastest_time_s(
 
 
 def speed_profile(speed: Array, length: Array, accel: float) -> Array:
-    """The largest speeds ``(n + 1,)`` at the ends of the parts of a path that ``accel`` can follow; in units of any kind.
+    """The largest speeds ``(n + 1,)`` at the ends of the parts of a path that ``accel`` can follow; in any unit.
 
     ``length`` ``(n,)`` of the parts; ``speed`` ``(n + 1,)`` is what each end allows by itself. The first one is given
     and stays, even where it is too fast to brake from.

@@ -95,7 +95,7 @@ def text_of(value: Any) -> str:
 
 
 def faults_as_paragraphs(faults: Iterable[Any]) -> list[dict[str, Any]]:
-    """``Fault(where, what, value, allowed, fix)`` objects of ``gcs.errors`` as paragraphs of a block."""
+    """``InputFault(where, what, value, allowed, fix)`` objects of ``gcs.errors`` as paragraphs of a block."""
     return [
         {
             "where": f.where,

@@ -131,7 +131,7 @@ def _safe(value: Any) -> Any:
 
 
 def domain_faults(faults: Iterable[Any]) -> list[dict[str, Any]]:
-    """``Fault(where, what, value, allowed, fix)`` of ``gcs.errors`` as arguments of `fault`."""
+    """``InputFault(where, what, value, allowed, fix)`` of ``gcs.errors`` as arguments of `fault`."""
     return [{"where": f.where, "what": f.what, "value": f.value, "allowed": f.allowed, "fix": f.fix} for f in faults]
 
 

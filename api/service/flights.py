@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +21,11 @@ from api.service.changes import Changes
 from api.service.flight_status import FlightStatus
 from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.exports import write_atomic
-from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError
 from gcs.plan import Plan
 from gcs.settings import Settings
 from gcs.store import FlightRecord, Store
+from gcs.timestamps import utc_now_text
 from link.errors import LinkError, SupervisorError
 from link.session import FlightRequest
 from link.streamer import RunningFlight, attach, start_flight
@@ -132,7 +132,7 @@ class FlightService:
         return folder
 
     def _end_unstarted(self, flight_id: str, why: str) -> None:
-        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        now = utc_now_text()
         data = {"from": FlightState.CONNECTING.value, "to": FlightState.REFUSED.value, "reason": why}
         event = FlightEvent(1, EventKind.STATE, 0.0, None, now, FlightState.REFUSED, data)
         with contextlib.suppress(StoreError):
@@ -181,7 +181,7 @@ class FlightService:
         if status.state.ended:
             return
         state = FlightState.LOST if status.state.airborne else FlightState.REFUSED
-        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        now = utc_now_text()
         data = {"what": "the streamer died while the service was away", "from": status.state.value}
         event = FlightEvent(status.sequence + 1, EventKind.ALARM, 0.0, status.t_plus_s, now, state, data)
         journal.append(record.id, event)
@@ -198,7 +198,7 @@ class FlightService:
                 flight.detach()
             else:
                 with contextlib.suppress(TransitionError, SupervisorError, TimeoutError):
-                    flight.command(Word.ABORT, by="service", reason="the service ends")
+                    flight.command(OperatorCommand.ABORT, by="service", reason="the service ends")
                     flight.wait(3.0)
                 if flight.result is None:
                     flight.kill()
@@ -206,7 +206,7 @@ class FlightService:
 
     # -- commanding ---------------------------------------------------------------------------------------------------
 
-    def command(self, flight_id: str, command: Word, **fields: Any) -> None:
+    def command(self, flight_id: str, command: OperatorCommand, **fields: Any) -> None:
         """Give a flight an operator command.
 
         Raises `gcs.errors.NotFoundError`, `ConflictError` (it has ended), `TransitionError` (it cannot be given now),
@@ -235,7 +235,7 @@ class FlightService:
                 f"the preflight is {age_s:.0f} s old, allowed is under {PREFLIGHT_VALID_S:.0f} s; "
                 "abort this flight and make another"
             )
-        flight.command(Word.LAUNCH, by=by, plan_sha256=plan_sha256)
+        flight.command(OperatorCommand.LAUNCH, by=by, plan_sha256=plan_sha256)
 
     def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:
         """Give a flight another plan to fly from here on. Raises as `command` does."""

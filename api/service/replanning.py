@@ -18,7 +18,7 @@ from api.service.flights import FlightService
 from gcs.errors import MissionInfeasible, PlanningCancelled, PlanningFailed
 from gcs.flight import FlightState
 from gcs.jobs import PlanningPool
-from gcs.plan import Plan
+from gcs.plan import read_plan
 from gcs.planning import ReplanOrder
 from link.director import judge_next
 
@@ -127,7 +127,7 @@ class Replanning:
         decide_by_s = None if at_rest else leave_s - _NOTICE_S + shift_s
         # From rest the plan's time moves on by the braking it stands for; the clock does not.
         shift_s += leave_s - join_s
-        plan = Plan.from_document(made["plan"])
+        plan = read_plan(made["plan"])
         checks = judge_next(plan, self._flights.request(flight_id), loss_timeout_s=loss_timeout_s, after_s=join_s)
         told = [check.to_document() for check in checks]
         proposal = Proposal(made["plan"], join_s, leave_s, at_rest, shift_s, decide_by_s, told)

@@ -16,7 +16,7 @@ from api.service.metrics import Metrics
 from api.service.replanning import Replanning
 from gcs.errors import StoreUnavailable
 from gcs.jobs import PlanningPool
-from gcs.plan import Plan
+from gcs.plan import Plan, read_plan
 from gcs.settings import Settings
 from gcs.store import MissionRecord, Store
 
@@ -113,7 +113,7 @@ class Services:
         assert record.plan_sha256 is not None
 
         def load() -> Plan:
-            return Plan.from_document(self.store.missions.plan(record.id, record.version))
+            return read_plan(self.store.missions.plan(record.id, record.version))
 
         return self.plans.get(record.plan_sha256, load)
 

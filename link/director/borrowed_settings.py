@@ -42,7 +42,7 @@ Values = Mapping[str, Parameter | None]
 def _covered(plan: Plan, enu_m: NDArray[np.float64]) -> bool:
     """Whether any station that may be used has a place in range."""
     allowed = [k for k, s in enumerate(plan.mission.stations) if s.id not in plan.mission.options.excluded_stations]
-    outside = plan.ground.outside_m(np.array(allowed), np.broadcast_to(enu_m, (len(allowed), 3)))
+    outside = plan.geometry.outside_m(np.array(allowed), np.broadcast_to(enu_m, (len(allowed), 3)))
     return bool((outside <= 0.0).any())
 
 
@@ -142,7 +142,7 @@ class Loan:
         safe = plan.mission.safe_points
         if not safe:
             return [], []
-        ground = plan.ground
+        ground = plan.geometry
         at = ground.enu_m([point.position for point in safe])
         path = geofence.path_m(plan)
         named, uncovered = [], []

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word, check_word
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError, check_operator_command
 from link.autopilot.registry import PROFILES
 from link.clock import TickGrid, TickLateness, UtcScale
 from link.dialect import mavlink
@@ -323,7 +323,7 @@ class FlightCore:
 
     def command(
         self,
-        word: Word | str,
+        word: OperatorCommand | str,
         *,
         by: str = "",
         handover: int | None = None,
@@ -334,57 +334,56 @@ class FlightCore:
         join_s: float | None = None,
         leave_s: float | None = None,
     ) -> None:
-        """A person's word.
+        """An operator command.
 
-        ``handover`` is the index that `Word.READY`, `Word.ACCEPT` and `Word.REFUSE` are about; ``until_s`` the time of
-        the plan for `Word.AUTHORISE`. ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming``
-        (from `make_ready`), ``join_s`` and ``leave_s`` are for `Word.REPLAN`: see
-        `link.director.airborne.Airborne.adopt`.
+        ``handover`` is the index that READY, ACCEPT and REFUSE are about; ``until_s`` the plan's time for AUTHORISE.
+        ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming`` (from `make_ready`), ``join_s``
+        and ``leave_s`` are for REPLAN: see `link.director.airborne.Airborne.adopt`.
 
         Raises `gcs.flight.TransitionError` (also for an unknown word) and changes nothing then.
         """
         c = self.context
         try:
-            word = Word(word)
+            word = OperatorCommand(word)
         except ValueError:
-            raise TransitionError(f"unknown word {word!r}; allowed is {', '.join(sorted(Word))}") from None
+            raise TransitionError(f"unknown word {word!r}; allowed is {', '.join(sorted(OperatorCommand))}") from None
         if plan_sha256 is not None and plan_sha256 != c.plan.plan_sha256:
             raise TransitionError(f"'{word}' is for another plan ({plan_sha256[:12]}...) than the one being flown")
-        check_word(word, c.state)
-        if word in (Word.READY, Word.ACCEPT, Word.REFUSE) and handover is None:
+        check_operator_command(word, c.state)
+        if word in (OperatorCommand.READY, OperatorCommand.ACCEPT, OperatorCommand.REFUSE) and handover is None:
             raise TransitionError(f"'{word}' needs the index of a handover")
-        if word is Word.AUTHORISE and (until_s is None or not until_s >= 0.0):
+        if word is OperatorCommand.AUTHORISE and (until_s is None or not until_s >= 0.0):
             raise TransitionError("'authorise' needs until_s, a time of the plan, 0 or more")
-        if word is Word.REPLAN:
+        if word is OperatorCommand.REPLAN:
             if upcoming is None:
                 raise TransitionError("'replan' needs a plan made ready for this flight")
             self.airborne.adopt(upcoming, join_s, leave_s)
         else:
             self._obey(word, handover or 0, until_s or 0.0, reason or by or "word")
-        c.emit(EventKind.WORD, word=word.value, by=by, handover=handover, until_s=until_s, reason=reason)
+        c.emit(EventKind.OPERATOR_COMMAND, word=word.value, by=by, handover=handover, until_s=until_s, reason=reason)
 
     def make_ready(self, document: Mapping[str, Any]) -> NextPlan:
-        """A plan document judged and prepared for `Word.REPLAN`; slow, and safe in a thread beside the flight.
+        """A plan document judged and prepared for REPLAN; slow, and safe in a thread beside the flight.
 
         Raises `TransitionError` with the reasons why this flight cannot fly it.
         """
         return make_ready(document, self.context, self.launch.values)
 
-    def _obey(self, word: Word, handover: int, until_s: float, reason: str) -> None:
+    def _obey(self, word: OperatorCommand, handover: int, until_s: float, reason: str) -> None:
         air = self.airborne
-        if word is Word.LAUNCH:
+        if word is OperatorCommand.LAUNCH:
             self.launch.launch_word = True
-        elif word is Word.HOLD:
+        elif word is OperatorCommand.HOLD:
             air.hold()
-        elif word is Word.RESUME:
+        elif word is OperatorCommand.RESUME:
             air.resume()
-        elif word is Word.ABORT:
+        elif word is OperatorCommand.ABORT:
             self._abort(reason)
-        elif word is Word.LAND:
+        elif word is OperatorCommand.LAND:
             self._land()
-        elif word is Word.AUTHORISE:
+        elif word is OperatorCommand.AUTHORISE:
             air.authorise(until_s)
-        elif word is Word.REFUSE:
+        elif word is OperatorCommand.REFUSE:
             air.relay.refuse(handover, reason)
         else:
             air.relay.accept(handover)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gcs.flight import EventKind, FlightState
-from gcs.plan import Place, own_returns
+from gcs.plan import Place, failsafe_returns
 from link.dialect import mavlink
 from link.director.borrowed_settings import Loan
 from link.director.takeoff import TakeOff
@@ -334,7 +334,7 @@ class Launch:
         checks += yield from loan.take_rally(self.ground_amsl_m)
         checks += yield from loan.take_fence(self.values, home_enu_m)
         rules = return_rules(c.profile, self.values, c.plan, home_enu_m, loan.points)
-        returns = own_returns(c.plan.ground, c.plan.trajectory, rules)
+        returns = failsafe_returns(c.plan.geometry, c.plan.trajectory, rules)
         return [*checks, *judge_failsafe_return(c.plan, rules, returns)]
 
     def restore(self) -> Steps[None]:

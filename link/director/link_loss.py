@@ -174,7 +174,7 @@ class Lapse:
             station = plan.mission.stations[index].id
             if not c.monitor.proven_within(c.now_s, station, PROVEN_S):
                 continue
-            if float(plan.ground.outside_m(np.array([index]), here[None, :])[0]) > 0.0:
+            if float(plan.geometry.outside_m(np.array([index]), here[None, :])[0]) > 0.0:
                 continue
             low = relay.borders[leg - 1].open_s if leg > 0 else 0.0
             high = relay.borders[leg].limit_s if leg < len(relay.borders) else plan.mission_time_s

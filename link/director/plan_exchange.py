@@ -16,7 +16,7 @@ import numpy as np
 
 from gcs.errors import PlanError
 from gcs.flight import TransitionError
-from gcs.plan import Plan
+from gcs.plan import Plan, read_plan
 from link.handover.handover import borders
 from link.preflight.check import Check, Level, worst_first
 from link.preflight.route import judge_stops
@@ -50,7 +50,7 @@ def make_ready(document: Mapping[str, Any], context: FlightContext, values: Mapp
     this flight cannot fly it.
     """
     try:
-        plan = Plan.from_document(document)
+        plan = read_plan(document)
     except PlanError as error:
         raise TransitionError(f"this is no plan: {error}") from None
     reasons = _unfit(plan, context)

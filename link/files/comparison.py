@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gcs.plan import Plan
 from link.files.flight_log import Heard, Sent, station_names
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags
 
 PATH_STEP_S = 0.02
 ON_PATH_M = 0.5
@@ -72,7 +70,7 @@ def launch_time_s(time_s: Array, plan_s: Array, off_m: Array, plan: Plan) -> flo
     return float(np.median(time_s[first] - plan_s[first]))
 
 
-def last_moving(flown: NDArray[np.bool_], place: Array, velocity_m_s: Array, plan: Plan) -> int:
+def last_moving(flown: Flags, place: Array, velocity_m_s: Array, plan: Plan) -> int:
     """The index where the stream of the plan ends: its first sample at rest at the end, or the last one on the path."""
     from_end = np.linalg.norm(place - plan.trajectory.evaluate(plan.mission_time_s), axis=-1)
     arrived = np.flatnonzero(flown & (from_end < 0.1) & (np.linalg.norm(velocity_m_s, axis=-1) < 1e-5))
@@ -114,6 +112,6 @@ def least_margin(heard: Heard, sent: Sent, plan: Plan, from_s: float, to_s: floa
     at = np.clip(np.searchsorted(sent.time_s, heard.time_s[inside], side="right") - 1, 0, len(sent.time_s) - 1)
     names = station_names(plan)
     index = np.array([plan.mission.station_index(names[int(i)]) for i in sent.system_id[at]])
-    left = -plan.ground.outside_m(index, places)
+    left = -plan.geometry.outside_m(index, places)
     worst = int(left.argmin())
     return float(left[worst]), plan.mission.stations[index[worst]].id

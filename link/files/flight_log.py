@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
@@ -14,8 +13,7 @@ from link.autopilot.profile import AutopilotProfile
 from link.autopilot.registry import profile_of_setpoints
 from link.files.link_report import ProbeCount
 from link.files.tlog import TlogRecord
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags, Indices
 
 SETPOINT_IDS = frozenset({84, 86})
 
@@ -33,13 +31,13 @@ class Sent:
     """Setpoints: arrays of one length; velocity (N, 3) east, north, up along true axes."""
 
     time_s: Array
-    system_id: NDArray[np.int64]
+    system_id: Indices
     lat_deg: Array
     lon_deg: Array
     alt_amsl_m: Array
     velocity_m_s: Array
 
-    def only(self, keep: NDArray[np.bool_]) -> Sent:
+    def only(self, keep: Flags) -> Sent:
         """Those of them to ``keep``."""
         return Sent(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 

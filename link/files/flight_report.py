@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.plan import Plan
 from link.autopilot.registry import PROFILES
@@ -42,9 +41,7 @@ from link.files.flight_log import Sent, collect, station_names
 from link.files.grid_lateness import grid_lateness_ms
 from link.files.link_report import History, LinkReport, ProbeCount
 from link.files.tlog import read_tlog
-
-Array = NDArray[np.float64]
-
+from planner.arrays import Array, Flags
 
 AROUND_HANDOVER_S = 2.0
 
@@ -229,7 +226,7 @@ def _handovers(sent: Sent, errors: TrackingErrors, plan: Plan, launched_s: float
     return tuple(result)
 
 
-def _between(times: Array, low: float, high: float) -> NDArray[np.bool_]:
+def _between(times: Array, low: float, high: float) -> Flags:
     return (times >= low) & (times <= high)
 
 

@@ -10,9 +10,8 @@ together are least late. One setpoint out of place, however far, cannot move tha
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.arrays import Array
 
 EARLY_SHARE = 0.1
 """Of a period: so much before the grid, a setpoint counts as punctual, not as late by nearly a period."""

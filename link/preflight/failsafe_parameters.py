@@ -81,7 +81,7 @@ def judge_rally_limit(values: Values, plan: Plan, *, wanted: bool) -> list[Check
     if parameter is None or not wanted:
         return []
     name, limit_km = parameter.name, float(parameter.value)
-    points = plan.ground.enu_m([point.position for point in plan.mission.safe_points])
+    points = plan.geometry.enu_m([point.position for point in plan.mission.safe_points])
     path = plan.trajectory.evaluate(np.linspace(0.0, plan.mission_time_s, 200))
     away_m = np.linalg.norm(path[:, None, :2] - points[None, :, :2], axis=-1).min(axis=1).max()
     fits = limit_km <= 0.0 or 1000.0 * limit_km >= away_m

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from gcs.plan import OwnReturn, Place, Plan, ReturnRules
+from gcs.plan import FailsafeReturn, Place, Plan, ReturnRules
 from link.autopilot.parameter_catalogue import Values
 from link.autopilot.profile import AutopilotProfile
 from link.preflight.check import Check, Level
@@ -36,8 +36,8 @@ def return_rules(
     )
 
 
-def judge_failsafe_return(plan: Plan, rules: ReturnRules, returns: tuple[OwnReturn, ...]) -> list[Check]:
-    """Where the failsafe return leads: in range or not, how long it takes, how high it climbs."""
+def judge_failsafe_return(plan: Plan, rules: ReturnRules, returns: tuple[FailsafeReturn, ...]) -> list[Check]:
+    """Where the autopilot's own failsafe takes the vehicle: in range or not, how long, how high."""
     duration_s = plan.mission_time_s
     share = sum(span.to_s - span.from_s for span in returns if not span.covered) / duration_s
     longest = max(returns, key=lambda span: span.duration_s)

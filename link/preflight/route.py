@@ -61,7 +61,7 @@ def judge_stops(plan: Plan, loss_timeout_s: float, *, after_s: float = 0.0) -> l
             continue
         transferring = np.array([plan.mission.station_index(handover.from_station)])
         beyond = plan.trajectory.evaluate(np.linspace(handover.time_s, stop_s, 100))
-        outside_m = max(0.0, float(plan.ground.outside_m(np.repeat(transferring, 100), beyond).max()))
+        outside_m = max(0.0, float(plan.geometry.outside_m(np.repeat(transferring, 100), beyond).max()))
         speed_m_s = reference.speed_m_s(handover.time_s)
         checks.append(
             Check(

@@ -107,7 +107,7 @@ def judge_place(
     limit = station.range_m - plan.mission.options.range_margin_m
     # A ball is convex: with the ground, the point above it and the start inside, all between them is.
     above = np.array([here[0], here[1], max(float(start[2]), here[2])])
-    ways = plan.ground.true_range_m(np.array([index] * 3), np.array([here, above, start]))
+    ways = plan.geometry.true_range_m(np.array([index] * 3), np.array([here, above, start]))
     checks.append(
         Check(
             "first station",

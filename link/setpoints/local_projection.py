@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.geodesy import WGS84_A_M, WGS84_E2, Plane
-
-Array = NDArray[np.float64]
+from planner.arrays import Array
 
 REACH_M = 400.0
 

@@ -21,13 +21,10 @@ import math
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
-
-Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
+from planner.arrays import Array
 
 BRAKING_SHARE = 0.35
 """Of the acceleration limit, for the braking curve: the rest is left to the curve's own bends."""

@@ -21,8 +21,9 @@ import numpy as np
 
 from gcs.geodesy import WGS84_A_M, WGS84_E2
 from gcs.plan import Plan
-from link.setpoints.setpoint import Array, Setpoint, SetpointBlock
+from link.setpoints.setpoint import Setpoint, SetpointBlock
 from planner import bezier
+from planner.arrays import Array
 
 RATE_LIMITS_HZ = (0.1, 200.0)
 GRID_TOLERANCE_S = 1e-9

@@ -8,8 +8,8 @@ import numpy as np
 
 from gcs.plan import Plan
 from link.setpoints.local_projection import LocalProjection
-from link.setpoints.reference import Array, Vector
-from link.setpoints.setpoint import Setpoint
+from link.setpoints.setpoint import Setpoint, Vector
+from planner.arrays import Array
 
 
 class StraightLine:

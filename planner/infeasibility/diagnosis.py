@@ -8,18 +8,15 @@ is always a plan. What is told when there is none stands here; remedies of other
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
+from planner.arrays import Array, Flags, Indices
 from planner.coverage.disc import covering_stations, range_to_meet_m, usable_stations
 from planner.coverage.overlap import MIN_OVERLAP_M, AdjacentPairs, adjacent_pairs, overlap_depth_m, overlap_point_m
 from planner.errors import Infeasibility
-from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from planner.problem import UNMASKED_DEG, Problem
 
 # A broken chain is explained from all pairs up to so many stations, from so many pairs at most above.
 ALL_PAIRS_STATIONS = 1_000
@@ -95,7 +92,7 @@ def _elevation_fault(problem: Problem, name: str, position: Array, inside: Indic
     station, angle = int(inside[best]), float(seen[best])
     lowest = float(problem.min_elevation_deg[station])
     # Below the antenna's horizon no limit will do but none.
-    to = angle * (1.0 - 1e-9) if angle > 0.0 else -90.0
+    to = angle * (1.0 - 1e-9) if angle > 0.0 else UNMASKED_DEG
     return Infeasibility(
         f"{name}_uncovered",
         f"the {name} is in range of station {station}, which sees it at an elevation of {angle:.3f} degrees and hears "
@@ -247,9 +244,7 @@ def _chain_raises(problem: Problem, chain: Indices, depths_m: Array) -> list[tup
     return list(raises.items())
 
 
-def _smallest_raise(
-    problem: Problem, near_start: NDArray[np.bool_], near_end: NDArray[np.bool_]
-) -> tuple[int, float] | None:
+def _smallest_raise(problem: Problem, near_start: Flags, near_end: Flags) -> tuple[int, float] | None:
     """The one station whose range, raised least, touches both connected parts of the graph, and by how much."""
     usable = np.flatnonzero(usable_stations(problem))
     sides = [np.flatnonzero(side) for side in (near_start, near_end)]

@@ -128,14 +128,6 @@ def kill(process: subprocess.Popen[bytes]) -> None:
         process.stdout.close()
 
 
-def alive(pid: int) -> bool:
-    """Whether a process runs; one that ended and was not fetched by its parent does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
 def mode_seen(url: str, autopilot: str, expected: str, timeout_s: float = 30.0) -> str | None:
     """The mode of the vehicle's own heartbeat, heard by a listener of its own: ``expected``, or the last in vain."""
     profile, codec, mode = PROFILES[autopilot], StationCodec(99), None

@@ -19,11 +19,11 @@ from api.processes import QUICK_MISSION
 
 def plan_for_ever() -> None:
     """Plan the same small mission again and again."""
-    from gcs.mission import Mission
+    from gcs.mission import read_mission
     from gcs.planning import plan_mission
 
     while True:
-        plan_mission(Mission.from_document(QUICK_MISSION))
+        plan_mission(read_mission(QUICK_MISSION))
 
 
 def ask_for_ever(url: str) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 
 from api.bench.link.wiretap import Heard, Wiretap, lateness_ms, missed
 from api.processes import Child, ChildError, Children, python_module, start_simulator
-from gcs.mission import Mission
+from gcs.mission import read_mission
 from gcs.planning import plan_mission
 from link.session import FlightRequest
 from link.streamer import RunningFlight, start_flight
@@ -132,7 +132,7 @@ def bench_plan(seconds: float) -> Plan:
     spacing_m = max(_SPACING_M, seconds * _SPEED_M_S / (_MOST_STATIONS - 2))
     count = 2 + math.ceil(seconds * _SPEED_M_S / spacing_m)
     return plan_mission(
-        Mission.from_document(
+        read_mission(
             {
                 "name": "In a row",
                 "origin": {"lat_deg": 52.95, "lon_deg": 4.79, "alt_amsl_m": 0.0},

@@ -21,7 +21,7 @@ import numpy as np
 from api.bench.planner.cases import DEFAULT_OPTIONS, PAPER_OPTIONS, Case, chain, crowd, drawn, fixed
 from gcs.errors import MissionInfeasible, PlanningFailed
 from gcs.layout import lay_out
-from gcs.mission import Mission
+from gcs.mission import Mission, read_mission, with_options
 from gcs.planning import default_planner, plan_mission
 from planner import Method, PlannerError, Problem, Solution
 
@@ -109,9 +109,9 @@ def measure(case: Case, options: dict[str, Any] | None = None, *, reference: boo
 
     Raises `gcs.errors.MissionError` for a mission that cannot be read. One without a plan is a result.
     """
-    mission = Mission.from_document(case.document)
+    mission = read_mission(case.document)
     if options is not None:
-        mission = mission.with_options(options)
+        mission = with_options(mission, options)
     count = len(mission.stations)
     try:
         ours, bound_s = _run(mission, "joint")

@@ -65,10 +65,10 @@ def bench_link(
 
 def _rates() -> list[Rate]:
     from api.bench.link.rates import wire_rates
-    from gcs.mission import Mission
+    from gcs.mission import read_mission
     from gcs.planning import plan_mission
 
-    return wire_rates(plan_mission(Mission.from_document(QUICK_MISSION), fast=True))
+    return wire_rates(plan_mission(read_mission(QUICK_MISSION), fast=True))
 
 
 def _lateness(seconds: float, rates_hz: tuple[float, ...], loads: tuple[bool, ...]) -> dict[str, Any]:

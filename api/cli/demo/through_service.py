@@ -117,9 +117,9 @@ def _plan(service: ServiceClient, document: Any) -> dict[str, Any]:
 
 
 def _fetch(service: ServiceClient, mission_id: str) -> Plan:
-    from gcs.plan import Plan
+    from gcs.plan import read_plan
 
-    return Plan.from_document(service.call("GET", f"v1/missions/{mission_id}/plan"))
+    return read_plan(service.call("GET", f"v1/missions/{mission_id}/plan"))
 
 
 def _fly(service: ServiceClient, children: Children, plan: Plan, mission_id: str, pace: story.Pace) -> dict[str, Any]:

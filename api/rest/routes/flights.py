@@ -17,7 +17,7 @@ from api.rest.routes import shared
 from api.rest.routes.plans import planned
 from api.rest.routes.shared import Cursor, Limit, MissionId
 from api.service import FlightStatus, Services, outer_state
-from gcs.flight import Word
+from gcs.flight import OperatorCommand
 from gcs.store import FlightRecord
 
 router = APIRouter(prefix="/v1/flights", tags=["flights"])
@@ -138,7 +138,7 @@ def launch(services: Wired, flight_id: FlightId, body: schemas.LaunchCommand) ->
 
 
 def _command(
-    services: Services, flight_id: str, command: Word, body: schemas.OperatorCommand | None, **fields: Any
+    services: Services, flight_id: str, command: OperatorCommand, body: schemas.OperatorCommand | None, **fields: Any
 ) -> schemas.FlightDetail:
     given = body or schemas.OperatorCommand(by=None, reason=None)
     with shared.domain_errors():
@@ -149,25 +149,25 @@ def _command(
 @router.post("/{flight_id}/hold", summary="Stop on the path")
 def hold(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
     """The stream goes on with zero velocity; the schedule shifts."""
-    return _command(services, flight_id, Word.HOLD, body)
+    return _command(services, flight_id, OperatorCommand.HOLD, body)
 
 
 @router.post("/{flight_id}/resume", summary="Go on after a hold")
 def resume(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
     """Coverage is checked again and the schedule re-timed."""
-    return _command(services, flight_id, Word.RESUME, body)
+    return _command(services, flight_id, OperatorCommand.RESUME, body)
 
 
 @router.post("/{flight_id}/abort", summary="Fly the contingency procedure in force")
 def abort(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
     """On the ground: give the flight up."""
-    return _command(services, flight_id, Word.ABORT, body)
+    return _command(services, flight_id, OperatorCommand.ABORT, body)
 
 
 @router.post("/{flight_id}/land", summary="Land where the vehicle is")
 def land(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
     """At once, wherever that is."""
-    return _command(services, flight_id, Word.LAND, body)
+    return _command(services, flight_id, OperatorCommand.LAND, body)
 
 
 def _flown_plan(services: Services, flight_id: str, plan_sha256: str) -> dict[str, Any]:
@@ -224,7 +224,7 @@ def ready(
     services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.OperatorCommand | None = None
 ) -> schemas.FlightDetail:
     """The receiving station's crew stands by."""
-    return _command(services, flight_id, Word.READY, body, handover=index)
+    return _command(services, flight_id, OperatorCommand.READY, body, handover=index)
 
 
 @router.post("/{flight_id}/handovers/{index}/accept", summary="Accept a handover")
@@ -232,7 +232,7 @@ def accept(
     services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.OperatorCommand | None = None
 ) -> schemas.FlightDetail:
     """As `ready`, and takes a refusal back."""
-    return _command(services, flight_id, Word.ACCEPT, body, handover=index)
+    return _command(services, flight_id, OperatorCommand.ACCEPT, body, handover=index)
 
 
 @router.post("/{flight_id}/handovers/{index}/refuse", summary="Refuse a handover")
@@ -242,7 +242,7 @@ def refuse(
     """The transferring station stays in control; the flight waits before the next range, then flies the contingency
     procedure.
     """
-    return _command(services, flight_id, Word.REFUSE, body, handover=index)
+    return _command(services, flight_id, OperatorCommand.REFUSE, body, handover=index)
 
 
 @router.websocket("/{flight_id}/telemetry")

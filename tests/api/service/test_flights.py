@@ -20,7 +20,7 @@ from api.processes import start_simulator
 from api.processes.children import Children
 from api.processes.quick_mission import QUICK_MISSION
 from api.rest.schemas import NewFlight
-from gcs.plan.model import Plan
+from gcs.plan import read_plan
 from link.errors import SupervisorError
 from link.session.request import HANDOVER_WAYS
 from link.streamer.supervisor import attach
@@ -40,7 +40,7 @@ def planned(client: httpx.Client) -> dict[str, Any]:
 @pytest.fixture
 def vehicle(client: httpx.Client, planned: dict[str, Any]) -> Iterator[str]:
     """A simulated vehicle, registered with a link for each station."""
-    plan = Plan.from_document(client.get(f"/v1/missions/{planned['id']}/plan").json())
+    plan = read_plan(client.get(f"/v1/missions/{planned['id']}/plan").json())
     with Children() as children:
         _, urls = start_simulator(children, plan, autopilot="ardupilot", speedup=SPEEDUP)
         for station, url in urls.items():
@@ -194,7 +194,7 @@ def test_a_flight_outlives_the_service_which_finds_it_again(tmp_path: Path) -> N
     server = Server(tmp_path / "d")
     with httpx.Client(base_url=server.address, timeout=60) as client, Children() as children:
         mission = wait_for_planning(client, client.post("/v1/missions", json=QUICK_MISSION).json()["id"])
-        plan = Plan.from_document(client.get(f"/v1/missions/{mission['id']}/plan").json())
+        plan = read_plan(client.get(f"/v1/missions/{mission['id']}/plan").json())
         _, urls = start_simulator(children, plan, autopilot="ardupilot", speedup=SPEEDUP)
         for station, url in urls.items():
             client.put(f"/v1/links/{station}", json={"url": url})

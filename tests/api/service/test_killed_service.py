@@ -20,7 +20,7 @@ import pytest
 from api.processes import start_simulator
 from api.processes.children import Children
 from api.processes.quick_mission import QUICK_MISSION
-from gcs.plan.model import Plan
+from gcs.plan import read_plan
 from link.errors import SupervisorError
 from link.streamer.control_socket import connect
 from link.streamer.supervisor import attach
@@ -151,7 +151,7 @@ def test_a_hundred_killed_services_cost_no_tick(autopilot: str, tmp_path: Path) 
         service.start()
         with httpx.Client(base_url=service.address, timeout=120) as client:
             mission = wait_for_planning(client, client.post("/v1/missions", json=SLOW_MISSION).json()["id"])
-            plan = Plan.from_document(client.get(f"/v1/missions/{mission['id']}/plan").json())
+            plan = read_plan(client.get(f"/v1/missions/{mission['id']}/plan").json())
             _, urls = start_simulator(children, plan, autopilot=autopilot, speedup=1.0)
             for station, url in urls.items():
                 client.put(f"/v1/links/{station}", json={"url": url})

@@ -23,8 +23,7 @@ from link.microservices.mission_item import (
 )
 from link.microservices.mission_upload import MissionClear, MissionUpload
 from link.wire.codec import StationCodec
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.scorecard.soak import counted
 from tests.support.mission_vehicle import BadLink, MissionVehicle
 

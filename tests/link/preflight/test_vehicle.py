@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs.plan.failsafe_return import own_returns
+from gcs.plan.failsafe_return import failsafe_returns
 from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
 from link.errors import FlightRequestError
@@ -106,7 +106,8 @@ def own(**changes: float) -> dict[str, Check]:
     table |= {"WPNAV_SPEED_DN": 150.0, "RALLY_LIMIT_KM": 0.3, "RALLY_INCL_HOME": 1.0}
     plan = relay_plan(3)
     rules = return_rules(PROFILES["ardupilot"], values("ardupilot", table), plan, (0.0, 0.0, 35.0), ())
-    return {c.name: c for c in judge_failsafe_return(plan, rules, own_returns(plan.ground, plan.trajectory, rules))}
+    returns = failsafe_returns(plan.geometry, plan.trajectory, rules)
+    return {c.name: c for c in judge_failsafe_return(plan, rules, returns)}
 
 
 def test_the_way_home_is_judged_at_the_return_altitude() -> None:

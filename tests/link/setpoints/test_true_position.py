@@ -19,8 +19,7 @@ from link.dialect import mavlink
 from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
 from link.wire.codec import StationCodec
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.support.drawn_plans import make_plan, rest_to_rest
 from tests.support.heartbeats import is_autopilot
 
