@@ -109,8 +109,8 @@ SURFACE = {
     "gcs.geodesy": "WGS84_A_M WGS84_E2 Plane",
     "gcs.jobs": "PlanningPool",
     "gcs.layout": "lay_out",
-    "gcs.mission": "Mission MissionOptions parse_mission_json parse_option",
-    "gcs.plan": "OwnReturn Place Plan ReturnRules own_returns",
+    "gcs.mission": "Mission MissionOptions parse_mission_json parse_option read_mission with_options write_mission",
+    "gcs.plan": "FailsafeReturn Place Plan ReturnRules failsafe_returns read_plan",
     "gcs.planning": "ReplanOrder default_planner plan_mission product_version with_costs",
     "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store",
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
@@ -146,10 +146,19 @@ SURFACE = {
         "Changes FlightService FlightStatus Metrics Proposal ReplanError ReplanFailedError ReplanInfeasibleError "
         "ReplanStateError Replanning ServiceError Services StillStoppingError configure_logging outer_state"
     ),
+    "sitl_fixtures.ardupilot": "ArduCopter",
+    "sitl_fixtures.autopilot": "AutopilotModel",
+    "sitl_fixtures.faults": "FAULTS FaultSet listing",
+    "sitl_fixtures.mavlink": "FENCE MISSION RALLY Item",
+    "sitl_fixtures.process": "Address Impairment LossyChannel run_process",
+    "sitl_fixtures.px4": "Px4",
+    "sitl_fixtures.vehicle": "SimulatedAutopilot SimulatorConfig",
 }
 """What each face shows, by name: a name more or less is a decision, taken here. The others show nothing."""
 
-LONG_FUNCTIONS: dict[str, str] = {}
+LONG_FUNCTIONS: dict[str, str] = {
+    "gcs/store/migrations/versions/m0001_first.py:upgrade": "the tables of the first version, one after another",
+}
 """Functions of more than sixty lines, each with its reason: tables, and wiring told from beginning to end."""
 
 FULL_FOLDERS: dict[str, str] = {}
