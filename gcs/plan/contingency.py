@@ -17,14 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.layout.mission_geometry import MissionGeometry
 from gcs.layout.straight_coverage import Cover
 from gcs.plan.failsafe_return import MOST_CELLS, FailsafeReturn, ReturnRules, cells, cruise_speed_m_s, failsafe_returns
 from planner import Trajectory
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags, Indices
 
 _NEAREST = 8
 _SLOWER, _LATER_S = 1.3, 10.0
@@ -126,7 +124,7 @@ def _with_failsafe_return(span: Contingency, by_itself: tuple[FailsafeReturn, ..
     )
 
 
-def _nearest(at: Array, points: Array) -> NDArray[np.int64]:
+def _nearest(at: Array, points: Array) -> Indices:
     """``(cells, k)``: the nearest safe points of each cell."""
     if not len(points):
         return np.empty((len(at), 0), dtype=np.int64)
@@ -187,7 +185,7 @@ def _spans(
     geometry: MissionGeometry,
     edges: Array,
     chosen: list[tuple[_Way, float]],
-    home_covered: NDArray[np.bool_],
+    home_covered: Flags,
     home_point: str | None,
 ) -> tuple[Contingency, ...]:
     result: list[Contingency] = []

@@ -12,14 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.layout.mission_geometry import MissionGeometry
 from gcs.layout.straight_coverage import Cover
 from gcs.mission.model import MissionLimits
 from planner import Trajectory
+from planner.arrays import Array
 
-Array = NDArray[np.float64]
 Place = tuple[float, float, float]
 Target = tuple[float, str | None, Place]
 """Distance over ground, a rally point's id (None: home), its place."""

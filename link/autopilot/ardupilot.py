@@ -65,13 +65,10 @@ class ArduPilotProfile(AutopilotProfile):
         }
     )
     stream_before_offboard_s = 0.0
-    min_stream_hz = 0.0
     parameter_encoding = "c_cast"
     parameters = ARDUPILOT_PARAMETERS
     mission = MissionTraits(
         keeps_old_after_failure=False,
-        honours_cancel=False,
-        upload_timeout_s=8.0,
         first_item_is_home=True,
         keeps_parameters=False,
     )

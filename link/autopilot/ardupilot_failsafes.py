@@ -13,7 +13,7 @@ RULES = (
         "gcs_failsafe",
         among(1, 3, 4, 5, 6, 7),
         "1 (return) or 3 to 7",
-        "what it does when the owner's heartbeat stops",
+        "what it does on a lost C2 link, when the owner's heartbeat stops",
         lambda v: 1,
     ),
     FailsafeRule("gcs_failsafe_timeout", lambda v: 2 <= v <= 30, "2 to 30 s", "how long until that", lambda v: 5),

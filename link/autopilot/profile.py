@@ -74,8 +74,6 @@ class AutopilotProfile(abc.ABC):
     """Mode names to custom_mode numbers."""
     stream_before_offboard_s: float
     """How long setpoints must have been arriving before the mode is asked for."""
-    min_stream_hz: float
-    """A slower stream counts as lost."""
     parameter_encoding: Literal["bytewise", "c_cast"]
     parameters: tuple[ParameterName, ...]
     mission: MissionTraits
@@ -176,15 +174,6 @@ class AutopilotProfile(abc.ABC):
         flag = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
         return (flag, *self._mode_words(self.modes[mode]), 0.0, 0.0, 0.0, 0.0)
 
-    def is_autopilot(self, heartbeat: Any) -> bool:
-        """Whether a HEARTBEAT is the flight controller's own: gimbals and modems of the vehicle send them too."""
-        return bool(
-            heartbeat.get_type() == "HEARTBEAT"
-            and heartbeat.get_srcComponent() == AUTOPILOT_COMPONENT
-            and heartbeat.autopilot == self.autopilot_id
-            and heartbeat.type != mavlink.MAV_TYPE_GCS
-        )
-
     def mode_of(self, heartbeat: Any) -> str:
         """Mode name from a HEARTBEAT, ``"mode N"`` where the number is not known."""
         number = self._mode_number(heartbeat.custom_mode)
@@ -196,10 +185,6 @@ class AutopilotProfile(abc.ABC):
     def is_offboard(self, heartbeat: Any) -> bool:
         """Whether the vehicle follows setpoints. Believe this alone: PX4 acknowledges the mode without taking it."""
         return self.mode_of(heartbeat) == self.offboard_mode
-
-    def is_armed(self, heartbeat: Any) -> bool:
-        """Whether the motors are armed, from a HEARTBEAT."""
-        return bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
     def _mode_number(self, custom_mode: int) -> int:
         return custom_mode

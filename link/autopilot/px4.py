@@ -57,13 +57,10 @@ class Px4Profile(AutopilotProfile):
         }
     )
     stream_before_offboard_s = 1.0
-    min_stream_hz = 2.0
     parameter_encoding = "bytewise"
     parameters = PX4_PARAMETERS
     mission = MissionTraits(
         keeps_old_after_failure=True,
-        honours_cancel=True,
-        upload_timeout_s=5.0,
         first_item_is_home=False,
         keeps_parameters=True,
     )

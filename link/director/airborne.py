@@ -28,8 +28,8 @@ from link.monitors.range_margin import RangeWatch
 from link.monitors.tracking import LagMonitor
 from link.monitors.uplink import UplinkMonitor
 from link.session.context import FlightContext
-from link.setpoints.reference import Reference
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.reference import ReferenceTrajectory
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.straight_line import StraightLine
 
 Vector = tuple[float, float, float]
@@ -53,7 +53,7 @@ class Airborne:
     def __init__(self, context: FlightContext, launch: Launch) -> None:
         self._c = context
         self._launch = launch
-        self.stream = SetpointStream(context.plan, context.request.rate_hz)
+        self.stream = SetpointSampler(context.plan, context.request.rate_hz)
         self.relay = Relay(context)
         self.lead = Lead(context)
         self.lag = LagMonitor(context, self.lead)
@@ -68,7 +68,7 @@ class Airborne:
         self.authorised_until_s = math.inf if until_s is None else until_s
         # Tables are made now, on the ground: later they would cost ticks.
         self.stream.at(0.0)
-        self._on_plan = Reference(self.stream, accel_m_s2=context.plan.mission.limits.max_accel_m_s2)
+        self._on_plan = ReferenceTrajectory(self.stream, accel_m_s2=context.plan.mission.limits.max_accel_m_s2)
         self.reference = self._on_plan
         """On the plan, or on the straight line named by `line`."""
         self.line = ""
@@ -107,7 +107,7 @@ class Airborne:
             yaw_deg=join.yaw_deg,
         )
         self._join_s = time_s
-        self.reference, self.line = Reference(line, accel_m_s2=min(1.5, self._accel)), "transit"
+        self.reference, self.line = ReferenceTrajectory(line, accel_m_s2=min(1.5, self._accel)), "transit"
         c.last_setpoint_s = c.now_s
         self.custody.begin()
         self.uplink.restart()
@@ -394,7 +394,7 @@ class Airborne:
             accel_m_s2=0.5 * self._accel,
             yaw_deg=here.yaw_deg,
         )
-        self.reference, self.line, self._divert_to = Reference(line, accel_m_s2=self._accel), "divert", None
+        self.reference, self.line, self._divert_to = ReferenceTrajectory(line, accel_m_s2=self._accel), "divert", None
         self._c.emit(EventKind.STATE, **{"from": "returning", "to": "returning", "reason": "to the safe point"})
 
     # -- words --------------------------------------------------------------------------------------------------------

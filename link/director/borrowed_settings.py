@@ -17,7 +17,7 @@ from link.dialect import mavlink
 from link.errors import MissionItemError
 from link.handover import gcs_ownership
 from link.handover.gcs_ownership import Keeper, Ownership
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.mission_download import MissionDownload, MissionTransfer
 from link.microservices.mission_item import AMSL, FENCE, RALLY, RELATIVE, TYPE_NAMES, MissionItem, rally_point
 from link.microservices.mission_upload import MissionClear, MissionUpload, difference
@@ -49,7 +49,7 @@ def _covered(plan: Plan, enu_m: NDArray[np.float64]) -> bool:
 class Loan:
     """What is lent for one flight. The steps want a station in control and the vehicle disarmed."""
 
-    def __init__(self, context: FlightContext, parameters: ParameterClient, desk: MissionDesk) -> None:
+    def __init__(self, context: FlightContext, parameters: ParameterClient, desk: MissionClient) -> None:
         self._c = context
         self._parameters = parameters
         self._desk = desk

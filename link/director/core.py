@@ -17,24 +17,24 @@ from typing import Any
 
 from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError, check_operator_command
 from link.autopilot.registry import PROFILES
-from link.clock import Lateness, TickGrid, UtcScale
+from link.clock import TickGrid, TickLateness, UtcScale
 from link.dialect import mavlink
 from link.director.airborne import Airborne
 from link.director.launch import Launch
 from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
 from link.microservices.command import Commander
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
 from link.session.context import VEHICLE_STATION, FlightContext, plain
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
-from link.setpoints.local_projection import LocalMap
-from link.telemetry.link_path import FAILOVER_S, IDLE_FAILOVER_S, Carrier
+from link.setpoints.local_projection import LocalProjection
+from link.telemetry.link_path import FAILOVER_S, IDLE_FAILOVER_S, LinkPath
 from link.telemetry.setpoint_echo import EchoTracker
 from link.telemetry.vehicle_monitor import VehicleMonitor
 from link.transport.gate import TransmitterGate
-from link.transport.url import STREAM_SCHEMES, parse_url
+from link.transport.url import parse_url
 from link.wire.codec import StationCodec
 
 __all__ = ["FlightCore", "FlightRequest"]
@@ -89,7 +89,7 @@ class FlightCore:
         self._decoders = {}
         for url, sharing in self._sharing.items():
             codec = self.codecs[sharing[0]]
-            stream = parse_url(url).scheme in STREAM_SCHEMES
+            stream = parse_url(url).is_stream
             self._decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
         monitor = VehicleMonitor(self.stations, vehicle, frozenset(system_ids.values()) | {vehicle}, urls)
         ids = {**system_ids, **{s + VEHICLE_STATION: vehicle for s in self.stations}}
@@ -103,22 +103,22 @@ class FlightCore:
             echoes=EchoTracker(runs_on=profile.target_runs_on, memory=math.ceil(ECHO_MEMORY_S * request.rate_hz)),
             utc=UtcScale(epoch_unix_s),
             system_ids=ids,
-            local=LocalMap(plan.plane),
+            local=LocalProjection(plan.plane),
             now_s=now_s,
         )
         self.parameters = ParameterClient(gate.send, vehicle, profile.parameter_encoding)
-        self.missions = MissionDesk(gate.send)
+        self.missions = MissionClient(gate.send)
         self.launch = Launch(self.context, self.parameters, self.missions)
         self.airborne = Airborne(self.context, self.launch)
         self.announcer = Announcer(self.context, self.airborne)
-        self.lateness = Lateness()
+        self.lateness = TickLateness()
         self.finished = False
         self._on_frame = on_frame
         self._grid = TickGrid(request.rate_hz, now_s)
         self._procedure: Steps[None] | None = self.launch.run()
         self._restoring: Steps[None] | None = None
         self._streams: Steps[None] | None = None
-        self._streamed: tuple[int, Carrier] | None = None
+        self._streamed: tuple[int, LinkPath] | None = None
         self._beat: dict[str, float] = {}
         self._probed: dict[str, float] = {}
         self._near: set[str | None] = set()
@@ -139,7 +139,7 @@ class FlightCore:
         """Take what came in over a station's link, or the one of its links named. Never raises for what is in it."""
         c = self.context
         c.now_s = max(c.now_s, now_s)
-        url = url or c.monitor.links[station_id].carriers[0].url
+        url = url or c.monitor.links[station_id].paths[0].url
         for message in self._decoders[url].decode(data):
             if self._on_frame is not None:
                 self._on_frame(c.now_s, bytes(message.get_msgbuf()))
@@ -190,7 +190,7 @@ class FlightCore:
         """The URLs a frame of a station goes out over: a probe over all its links, all else over the one that sends."""
         link = self.context.monitor.links[station_id]
         if int.from_bytes(frame[7:10], "little") == mavlink.MAVLINK_MSG_ID_TIMESYNC:
-            return tuple(carrier.url for carrier in link.carriers)
+            return tuple(path.url for path in link.paths)
         return (link.active.url,)
 
     def take_outgoing(self) -> list[tuple[str, bytes]]:
@@ -292,7 +292,7 @@ class FlightCore:
         """Let another of a station's links send where it is proved and the present one is not."""
         c = self.context
         for link in c.monitor.links.values():
-            if len(link.carriers) == 1:
+            if len(link.paths) == 1:
                 continue
             near = link.station_id in self._near or not c.state.airborne
             before = link.choose(FAILOVER_S if near else IDLE_FAILOVER_S)

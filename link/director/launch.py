@@ -19,7 +19,7 @@ from link.handover import gcs_ownership
 from link.handover.gcs_ownership import Ownership
 from link.handover.handover_chain import attempt_time_s
 from link.microservices.command import Ticket
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
 from link.preflight.check import Check, Level, worst, worst_first
@@ -63,7 +63,7 @@ STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
 class Launch:
     """The procedure on the ground and the climb. ``send_hold`` streams the setpoint it is given every tick."""
 
-    def __init__(self, context: FlightContext, parameters: ParameterClient, missions: MissionDesk) -> None:
+    def __init__(self, context: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
         self._c = context
         self.parameters = parameters
         self.loan = Loan(context, parameters, missions)
@@ -243,7 +243,7 @@ class Launch:
             ),
             judge_origin(c.origin),
             judge_clock(None if told is None else told[0], 0.0 if told is None else told[1], simulated=simulated),
-            judge_plan(c.plan, tuple(dict.fromkeys(c.plan.station_ids)), words=c.request.operator_words),
+            judge_plan(c.plan, tuple(dict.fromkeys(c.plan.station_ids)), operator_commands=c.request.operator_words),
         ]
 
     def _read(self) -> Steps[None]:

@@ -21,7 +21,7 @@ from gcs.flight import FlightState
 from link.handover.handover_chain import Relay
 from link.session.context import FlightContext
 from link.session.procedure import Steps, pause, wait_until
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.straight_line import StraightLine
 
 REASK_S = 1.5
@@ -37,7 +37,7 @@ NEARER_M = 1.0
 class Lapse:
     """The state LAPSED. `tick` gives the time of the plan to join at once re-entry has succeeded."""
 
-    def __init__(self, context: FlightContext, relay: Relay, stream: SetpointStream) -> None:
+    def __init__(self, context: FlightContext, relay: Relay, stream: SetpointSampler) -> None:
         self._c = context
         self._relay = relay
         self._stream = stream
@@ -50,7 +50,7 @@ class Lapse:
         self._told = False
         self._entry: Steps[float] | None = None
 
-    def adopt(self, stream: SetpointStream) -> None:
+    def adopt(self, stream: SetpointSampler) -> None:
         """Another plan is being flown."""
         self._stream = stream
 

@@ -13,7 +13,7 @@ from gcs.flight import EventKind, FlightState
 from link.dialect import mavlink
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps, answered, wait_until
-from link.setpoints.reference import Reference
+from link.setpoints.reference import ReferenceTrajectory
 from link.setpoints.setpoint import Setpoint
 from link.setpoints.straight_line import StraightLine
 
@@ -77,7 +77,7 @@ class TakeOff:
             climb_m_s=c.request.climb_m_s,
             accel_m_s2=1.0,
         )
-        climb = Reference(line, accel_m_s2=1.0)
+        climb = ReferenceTrajectory(line, accel_m_s2=1.0)
         started_s = c.now_s
         while c.now_s - started_s < c.profile.stream_before_offboard_s + 0.5:
             c.send_setpoint(climb.setpoint())

@@ -1,7 +1,7 @@
 """A vehicle's failsafe parameters, judged from what was read back by the rules of its `AutopilotProfile`.
 
 Both autopilots ship with their failsafes off or meaningless for a flight without a pilot's radio: the stream of
-setpoints may stop without effect, a silent ground is nobody's business, an empty battery is a text. A flight beyond
+setpoints may stop without effect, a lost C2 link is nobody's business, an empty battery is a text. A flight beyond
 sight depends on them, so every unsafe value, and every value unsafe beside another, is a failure with its remedy.
 """
 
@@ -53,15 +53,15 @@ def _level(rule: FailsafeRule) -> Level:
 
 
 def _missing(rule: FailsafeRule, names: tuple[str, ...], asking: Asking | None) -> list[Check]:
-    """A parameter without a value: the link may have lost it, or the vehicle has none."""
+    """A parameter without a value: the C2 link may have lost it, or the vehicle has none."""
     denied = asking is not None and asking.denied.issuperset(names)
     if asking is not None and asking.unsure and not denied:
         # It may be there and unsafe, whatever firmware without it would do.
         level = Level.WARNING if rule.optional or rule.advisory else Level.ERROR
-        told = (
-            f"no answer to {asking.attempts} questions, and the link loses {asking.loss:.0%} of them or of the answers"
-        )
-        fix = "whether the vehicle has it is not known: better the link (nearer, another channel or antenna), ask again"
+        lost = f"the C2 link loses {asking.loss:.0%} of them or of the answers"
+        told = f"no answer to {asking.attempts} questions, and {lost}"
+        remedy = "better the C2 link (nearer, another channel or antenna), ask again"
+        fix = f"whether the vehicle has it is not known: {remedy}"
     elif rule.optional:
         return []
     elif denied:
@@ -70,7 +70,8 @@ def _missing(rule: FailsafeRule, names: tuple[str, ...], asking: Asking | None) 
     else:
         silent = "" if asking is None else f" (no answer to {asking.attempts} questions)"
         level, told = _level(rule), f"not told by the vehicle{silent}"
-        fix = "it has no such parameter, as it seems: is it the autopilot and firmware it should be, and the link good?"
+        questions = "is it the autopilot and firmware it should be, and the C2 link good?"
+        fix = f"it has no such parameter, as it seems: {questions}"
     return [Check(" or ".join(names), level, f"{told}: {rule.why}", None, rule.required, fix=fix)]
 
 

@@ -4,8 +4,8 @@ A fence acts by itself: a plan that leaves it ends in the fence's action, in mid
 before the flight; the profile says which kinds are.
 
 The fence laid on request is one convex polygon around everything the vehicle may do by itself: the path, and every
-straight way from it to home and to the rally points, with a margin. Anything narrower would stop the autopilot's own
-return at the fence.
+straight line from it to home and to the rally points, with a margin. Anything narrower would stop the failsafe return
+at the fence.
 
 Source: MAVLink fence items (MAV_CMD_NAV_FENCE_*, 5001-5004); parameter definitions of both autopilots.
 """
@@ -16,7 +16,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.plan import Place, Plan
 from link.autopilot.parameter_catalogue import Values
@@ -24,8 +23,7 @@ from link.autopilot.profile import FENCE_CIRCLE, FENCE_HEIGHT, FENCE_POLYGONS, A
 from link.dialect import mavlink
 from link.microservices.mission_item import MissionItem, inclusion_fence
 from link.preflight.check import Check, Level
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags
 
 SIDES = 16
 """Of the polygon laid: a vehicle stores few corners (PX4 16 at least), and this many cost 2 % of area."""
@@ -132,7 +130,7 @@ def _plane_m(plan: Plan, items: Sequence[MissionItem]) -> Array:
     return np.stack([np.asarray(east), np.asarray(north)], axis=-1)
 
 
-def _in_polygon(places: Array, corners: Array) -> NDArray[np.bool_]:
+def _in_polygon(places: Array, corners: Array) -> Flags:
     """Whether each place is inside, by the number of sides a ray to the east crosses."""
     inside = np.zeros(len(places), dtype=bool)
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):

@@ -105,7 +105,7 @@ def judge_place(
     index = plan.trajectory.sequence[0]
     station = plan.mission.stations[index]
     limit = station.range_m - plan.mission.options.range_margin_m
-    # A ball is convex: with the ground, the point above it and the start inside, the whole way is.
+    # A ball is convex: with the ground, the point above it and the start inside, all between them is.
     above = np.array([here[0], here[1], max(float(start[2]), here[2])])
     ways = plan.geometry.true_range_m(np.array([index] * 3), np.array([here, above, start]))
     checks.append(
@@ -144,9 +144,9 @@ def judge_origin(origin: EkfOrigin | None) -> Check:
     return Check("EKF origin", Level.PASS, text, text, "told by the vehicle")
 
 
-def judge_plan(plan: Plan, stations: tuple[str, ...], *, words: bool) -> Check:
+def judge_plan(plan: Plan, stations: tuple[str, ...], *, operator_commands: bool) -> Check:
     """The one plan every station of the flight has."""
-    how = "each operator's word names it" if words else "one streamer serves them all"
+    how = "each operator's command names it" if operator_commands else "one streamer serves them all"
     message = f"{plan.plan_sha256[:12]} for {', '.join(stations)}: {how}"
     return Check("plan", Level.PASS, message, plan.plan_sha256, "the same plan at every station")
 

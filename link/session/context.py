@@ -15,7 +15,7 @@ from link.clock import UtcScale
 from link.dialect import mavlink
 from link.microservices.command import Commander, Ticket
 from link.session.request import FlightRequest
-from link.setpoints.local_projection import LocalMap
+from link.setpoints.local_projection import LocalProjection
 from link.setpoints.setpoint import Setpoint
 from link.telemetry.setpoint_echo import EchoTracker, Sent
 from link.telemetry.vehicle_monitor import VehicleMonitor
@@ -52,7 +52,7 @@ class FlightContext:
     echoes: EchoTracker
     utc: UtcScale
     system_ids: Mapping[str, int]
-    local: LocalMap
+    local: LocalProjection
     now_s: float = 0.0
     state: FlightState = FlightState.CONNECTING
     launched_s: float | None = None
@@ -177,7 +177,8 @@ class FlightContext:
     @property
     def follows(self) -> bool:
         """Whether the vehicle follows setpoints, by its HEARTBEAT."""
-        return self.mode == self.profile.offboard_mode
+        heartbeat = self.monitor.heartbeat
+        return heartbeat is not None and self.profile.is_offboard(heartbeat)
 
     def adopt_origin(self, station_id: str) -> bool:
         """Take the EKF origin a station was told; whether it is another than before."""

@@ -13,8 +13,8 @@ import sys
 from dataclasses import dataclass, field
 from typing import Any
 
-from sitl_fixtures.faults.table import FAULTS
-from sitl_fixtures.process.proxy import Impairment, LossyChannel
+from sitl_fixtures.faults import FAULTS
+from sitl_fixtures.process import Impairment, LossyChannel
 from tests.support.paths import ROOT
 from tests.support.virtual_flight import Proxy, VirtualFlight
 
@@ -192,12 +192,22 @@ ROWS: tuple[Row, ...] = (
         "a pilot is never fought: silence as long as the pilot has it",
     ),
     both("disarm-in-flight", LOST, "it falls; nothing we send helps"),
-    each("stranger-streams", done(STRANGE), done(), "PX4 obeys anybody: told at once; ArduPilot was told whom to hear"),
     each(
-        "stranger-returns", way_out(LAPSE), done(), "PX4 obeys anybody, and left the mode; ArduPilot does not hear it"
+        "foreign-station-streams",
+        done(STRANGE),
+        done(),
+        "PX4 obeys anybody: told at once; ArduPilot was told whom to hear",
     ),
-    both("stranger-parameter", COMPLETED, "PX4 has no such parameter; ArduPilot does not hear the stranger"),
-    both("stranger-heartbeat", COMPLETED, "a heartbeat commands nothing"),
+    each(
+        "foreign-station-returns",
+        way_out(LAPSE),
+        done(),
+        "PX4 obeys anybody, and left the mode; ArduPilot does not hear it",
+    ),
+    both(
+        "foreign-station-parameter", COMPLETED, "PX4 has no such parameter; ArduPilot does not hear the foreign station"
+    ),
+    both("foreign-station-heartbeat", COMPLETED, "a heartbeat commands nothing"),
     # vehicle
     both("reboot", LOST, "it comes up disarmed and falls; noticed and silent within two seconds"),
     both("hang", CONTINGENCY, "3 s without an answer: " + _SILENT, LAPSE),
@@ -320,7 +330,7 @@ def judge(row: Row, autopilot: str, flight: VirtualFlight) -> list[str]:
     for one in flight.accepted:
         own = ids.get(one.system_id)
         if own is None:
-            continue  # the stranger's
+            continue  # the foreign station's
         if own != flight.stations[one.link]:
             problems.append(f"{own} was obeyed over another link at {one.time_s:.2f} s")
         # One that the vehicle itself held back is obeyed at a moment nobody sent it.
@@ -331,7 +341,7 @@ def judge(row: Row, autopilot: str, flight: VirtualFlight) -> list[str]:
     if lapses and any(time_s > lapses[0] for time_s, _, _, _ in setpoints):
         problems.append("streamed again after a lapse, unasked")
     down = flight.core.state.value in (COMPLETED, CONTINGENCY, REFUSED)
-    if down and (flight.vehicle.personality.armed or not flight.vehicle.body.on_ground):
+    if down and (flight.vehicle.autopilot.armed or not flight.vehicle.body.on_ground):
         problems.append("called down while armed or in the air")
     return problems
 
@@ -347,7 +357,7 @@ def page() -> str:
         "# Faults, and how a flight must end under each",
         "",
         f"{len(all_rows())} faults of the protocol, the network and the vehicle, injected by name (`skyrelay simulate"
-        " --list-faults`; the network's through the lossy proxy), each flown on both autopilots' personalities in"
+        " --list-faults`; the network's through the lossy proxy), each flown on both autopilot models in"
         " virtual time over two stations with one handover. `make soak` flies all; `make test` a sample. This page is"
         " printed from the table the tests assert (`python -m tests.scorecard.fault_outcomes`).",
         "",

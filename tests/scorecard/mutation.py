@@ -239,12 +239,12 @@ def warm_up() -> None:
     import scipy.optimize
 
     import link.dialect
-    import sitl_fixtures.vehicle.vehicle
+    import sitl_fixtures.vehicle
     from tests.support import flight_plans
 
     flight_plans.relay_plan(3)
     flight_plans.relay_plan(2)
-    assert all((hypothesis.stateful, numpy, pytest, scipy.optimize, link.dialect, sitl_fixtures.vehicle.vehicle))
+    assert all((hypothesis.stateful, numpy, pytest, scipy.optimize, link.dialect, sitl_fixtures.vehicle))
 
 
 def outcome(module: str, path: Path, code: CodeType, tests: tuple[str, ...]) -> str:

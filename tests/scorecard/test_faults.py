@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import tests.scorecard.fault_outcomes as table
-from sitl_fixtures.faults.table import FAULTS
+from sitl_fixtures.faults import FAULTS
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 SAMPLE = (
@@ -16,7 +16,7 @@ SAMPLE = (
     "mode-without-effect",
     "uplink-loss",
     "uplink-loss-share",
-    "stranger-returns",
+    "foreign-station-returns",
     "net-bad",
     "net-dead-in-flight",
 )

@@ -246,6 +246,13 @@ def test_a_face_with_a_name_more_or_less_is_found(build: Build, name: str, text:
     assert checks.surface(house, SURFACE) == [f"{name}: {offence}" for offence in offences]
 
 
+def test_what_a_face_brings_in_under_a_condition_is_seen_too(build: Build) -> None:
+    face = "try:\n    from under.shapes.disc import area_m2\nexcept ImportError:\n    raise\n"
+    house = build({"under/shapes/__init__.py": f'"""Shapes."""\n{face}__all__ = ["area_m2"]\n'})
+    assert checks.surface(house.only("under"), SURFACE) == []
+    assert house.definer("under", "area_m2") == house.definer("under.shapes", "area_m2") == "under.shapes.disc"
+
+
 def test_an_expected_face_that_is_not_there_is_found(build: Build) -> None:
     assert checks.surface(build().only("under"), SURFACE | {"under.maps": ("draw",)}) == ["under.maps: no such face"]
 

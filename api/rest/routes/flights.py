@@ -138,34 +138,34 @@ def launch(services: Wired, flight_id: FlightId, body: schemas.LaunchCommand) ->
 
 
 def _command(
-    services: Services, flight_id: str, command: OperatorCommand, body: schemas.OperatorCommand | None, **fields: Any
+    services: Services, flight_id: str, command: OperatorCommand, body: schemas.CommandBody | None, **fields: Any
 ) -> schemas.FlightDetail:
-    given = body or schemas.OperatorCommand(by=None, reason=None)
+    given = body or schemas.CommandBody(by=None, reason=None)
     with shared.domain_errors():
         services.flights.command(flight_id, command, by=given.by or "REST", reason=given.reason or "", **fields)
     return get_flight(services, flight_id)
 
 
 @router.post("/{flight_id}/hold", summary="Stop on the path")
-def hold(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
+def hold(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
     """The stream goes on with zero velocity; the schedule shifts."""
     return _command(services, flight_id, OperatorCommand.HOLD, body)
 
 
 @router.post("/{flight_id}/resume", summary="Go on after a hold")
-def resume(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
+def resume(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
     """Coverage is checked again and the schedule re-timed."""
     return _command(services, flight_id, OperatorCommand.RESUME, body)
 
 
 @router.post("/{flight_id}/abort", summary="Fly the contingency procedure in force")
-def abort(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
+def abort(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
     """On the ground: give the flight up."""
     return _command(services, flight_id, OperatorCommand.ABORT, body)
 
 
 @router.post("/{flight_id}/land", summary="Land where the vehicle is")
-def land(services: Wired, flight_id: FlightId, body: schemas.OperatorCommand | None = None) -> schemas.FlightDetail:
+def land(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
     """At once, wherever that is."""
     return _command(services, flight_id, OperatorCommand.LAND, body)
 
@@ -221,7 +221,7 @@ def flown_plan(services: Wired, flight_id: FlightId) -> Response:
 
 @router.post("/{flight_id}/handovers/{index}/ready", summary="Stand by to receive control")
 def ready(
-    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.OperatorCommand | None = None
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.CommandBody | None = None
 ) -> schemas.FlightDetail:
     """The receiving station's crew stands by."""
     return _command(services, flight_id, OperatorCommand.READY, body, handover=index)
@@ -229,7 +229,7 @@ def ready(
 
 @router.post("/{flight_id}/handovers/{index}/accept", summary="Accept a handover")
 def accept(
-    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.OperatorCommand | None = None
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.CommandBody | None = None
 ) -> schemas.FlightDetail:
     """As `ready`, and takes a refusal back."""
     return _command(services, flight_id, OperatorCommand.ACCEPT, body, handover=index)
@@ -237,7 +237,7 @@ def accept(
 
 @router.post("/{flight_id}/handovers/{index}/refuse", summary="Refuse a handover")
 def refuse(
-    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.OperatorCommand | None = None
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.CommandBody | None = None
 ) -> schemas.FlightDetail:
     """The transferring station stays in control; the flight waits before the next range, then flies the contingency
     procedure.

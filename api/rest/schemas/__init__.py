@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from api.rest.schemas.base import BAD_INPUT_EXAMPLE, INFEASIBLE_EXAMPLE, InfeasibleDetails, ProblemDetails
 from api.rest.schemas.flights import (
+    CommandBody,
     FlightDetail,
     FlightEvents,
     FlightPage,
     FlightSummary,
     LaunchCommand,
     NewFlight,
-    OperatorCommand,
     ReplanCommand,
     ReplanProposal,
     ReplanRequest,
@@ -44,6 +44,7 @@ __all__ = [
     "INFEASIBLE_EXAMPLE",
     "LOCAL_MISSION_EXAMPLE",
     "MISSION_EXAMPLE",
+    "CommandBody",
     "FlightDetail",
     "FlightEvents",
     "FlightPage",
@@ -57,7 +58,6 @@ __all__ = [
     "MissionProblem",
     "MissionSummary",
     "NewFlight",
-    "OperatorCommand",
     "PlanBody",
     "ProblemDetails",
     "RegisteredLink",

@@ -53,14 +53,14 @@ class LaunchCommand(Closed):
     by: str | None = Field(None, max_length=100, description="Who gives it, for the record.")
 
 
-class OperatorCommand(Closed):
+class CommandBody(Closed):
     """Who gives an operator command, and why; both for the record."""
 
     by: str | None = Field(None, max_length=100)
     reason: str | None = Field(None, max_length=500)
 
 
-class ReplanRequest(OperatorCommand):
+class ReplanRequest(CommandBody):
     """What a new plan from the present state is to be; what is left out stays as it was planned."""
 
     destination: dict[str, float] | None = Field(None, description="In the mission's frame, as in the mission.")
@@ -92,7 +92,7 @@ class ReplanProposal(Closed):
     plan: dict[str, Any]
 
 
-class ReplanCommand(OperatorCommand):
+class ReplanCommand(CommandBody):
     """Which proposal is accepted."""
 
     plan_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")

@@ -26,6 +26,7 @@ from gcs.store.store import Store
 from tests.support.infeasible_missions import local
 from tests.support.malformed_missions import GOOD
 from tests.support.paths import ROOT
+from tests.support.process_tree import alive
 
 DOCUMENT = write_mission(read_mission(GOOD))
 LONGER = write_mission(
@@ -42,14 +43,6 @@ def wait_for(what: Callable[[], Any], limit_s: float = 60.0) -> Any:
             return value
         time.sleep(0.01)
     raise AssertionError("waited in vain")
-
-
-def alive(pid: int) -> bool:
-    """Whether a process runs (a zombie does not)."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.fixture(scope="module")

@@ -201,8 +201,8 @@ def test_a_lost_answer_is_told_apart_from_a_parameter_the_vehicle_does_not_have(
         lossy = found(Asking(8, 0.5))
         assert lossy is not None
         assert lossy.level is (Level.WARNING if rule.optional or rule.advisory else Level.ERROR)
-        assert "no answer to 8 questions, and the link loses 50%" in lossy.message
-        assert "better the link" in lossy.remedy
+        assert "no answer to 8 questions, and the C2 link loses 50%" in lossy.message
+        assert "better the C2 link" in lossy.remedy
         # The vehicle's own word counts on any link.
         for told, asking in (
             ("not told by the vehicle (no answer to 16 questions)", Asking(16, 0.5)),

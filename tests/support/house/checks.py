@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterable, Mapping, Sequence
 
-from tests.support.house.modules import House, circles
+from tests.support.house.modules import House, circles, statements
 
 Levels = Sequence[Sequence[str]]
 """Rooms of a package, lower levels first."""
@@ -142,7 +142,7 @@ def surface(house: House, expected: Mapping[str, Iterable[str]]) -> list[str]:
 def _top_level(tree: ast.Module) -> set[str]:
     """Names a module's body binds."""
     found: set[str] = set()
-    for node in tree.body:
+    for node in statements(tree):
         if isinstance(node, ast.Import | ast.ImportFrom):
             found |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):

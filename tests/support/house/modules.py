@@ -82,6 +82,15 @@ class Module:
         yield from _functions(self.tree, "")
 
 
+def statements(tree: ast.AST) -> Iterator[ast.stmt]:
+    """Statements a module runs when it is imported, those in its ``if`` and ``try`` among them."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.stmt):
+            yield node
+        if isinstance(node, ast.If | ast.Try | ast.With | ast.excepthandler):
+            yield from statements(node)
+
+
 def _functions(node: ast.AST, where: str) -> Iterator[tuple[str, int, int]]:
     for child in ast.iter_child_nodes(node):
         inside = where
@@ -144,7 +153,7 @@ class House:
         """What a face imports under that name."""
         if face not in self.modules or not self.modules[face].is_face:
             return None
-        for node in self.modules[face].tree.body:
+        for node in statements(self.modules[face].tree):
             if isinstance(node, ast.ImportFrom):
                 for alias in node.names:
                     if (alias.asname or alias.name) == name and node.module is not None:

@@ -34,7 +34,7 @@ PACKAGE_FILES = (
 ADDRESS = re.compile(r"\b[a-z][a-z0-9+.-]*://|--?(?:extra-)?index-url|--find-links|--trusted-host|\bregistry\s*=", re.I)
 """A URL of any scheme, or the option of an installer that takes one."""
 
-HOMES = re.compile(r"(?<![\w.])/(?:home|Users)/[\w.-]+/|(?<![\w.])/root/|\b[A-Z]:\\Users\\", re.ASCII)
+HOMES = re.compile(r"(?<![\w.])/(?:home|Users)/[\w.-]+/|(?<![\w.])/(?:root)/|\b[A-Z]:\\Users\\", re.ASCII)
 """A path into a person's home, whoever's."""
 
 STANDARD_FOLDERS = frozenset(
