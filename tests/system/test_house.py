@@ -137,11 +137,11 @@ SURFACE = {
     "api.processes": "QUICK_MISSION Child ChildError Children home_under python_module start_simulator",
     "api.rest": "create_app",
     "api.rest.schemas": (
-        "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE FlightDetail "
-        "CommandBody FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
-        "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody "
-        "ProblemDetails RegisteredLink RegisteredStation RegisteredVehicle RegistryPage ReplanCommand "
-        "ReplanProposal ReplanRequest StationEntry Status VehicleEntry VersionList"
+        "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE CommandBody "
+        "FlightDetail FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
+        "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody ProblemDetails RegisteredLink "
+        "RegisteredStation RegisteredVehicle RegistryPage ReplanCommand ReplanProposal ReplanRequest StationEntry "
+        "Status VehicleEntry VersionList"
     ),
     "api.service": (
         "Changes FlightService FlightStatus Metrics Proposal ReplanError ReplanFailedError ReplanInfeasibleError "
