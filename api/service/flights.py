@@ -86,9 +86,8 @@ class FlightDesk:
         """
         vehicle = self._store.registry.get("vehicle", vehicle_id).document
         links = self._links(plan, vehicle)
-        request = FlightRequest(
-            plan=plan.to_document(), autopilot=vehicle["autopilot"], links=links, auto_launch=False, **options
-        )
+        asked = {"plan": plan.to_document(), "autopilot": vehicle["autopilot"], "links": links, "auto_launch": False}
+        request = FlightRequest.from_document({**asked, **options})
         record = self._store.flights.add(
             mission_id=mission_id,
             version=version,

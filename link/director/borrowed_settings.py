@@ -25,7 +25,7 @@ from link.microservices.parameter import ParameterClient
 from link.microservices.parameter_value import Parameter
 from link.preflight import geofence
 from link.preflight.check import Check, Level
-from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.context import FlightContext
 from link.session.procedure import Steps, wait_until
 
 MOST_RALLY_POINTS = 30
@@ -183,7 +183,7 @@ class Loan:
 
     def take_fence(self, values: Values, home_enu_m: Place) -> Steps[list[Check]]:
         """Judge the polygons the vehicle holds, or lay one around the plan where that is asked for."""
-        c, profile, lay = self._c, self._c.profile, self._c.request.fence
+        c, profile, lay = self._c, self._c.profile, self._c.request.lay_geofence
         if not self._keeps(FENCE):
             told = "asked for, but the vehicle keeps no fence"
             return [Check("fence", Level.FAILURE, told, fix="fly without --fence")] if lay else []
@@ -224,7 +224,7 @@ class Loan:
     def _set(self, parameter: Parameter, value: int | float) -> Steps[bool]:
         if parameter.value == value:
             return True
-        setting = self._parameters.set(parameter.name, value, self._c.fence)
+        setting = self._parameters.set(parameter.name, value, self._c.in_force)
         yield from wait_until(self._c, lambda: setting.finished, 30.0)
         if setting.confirmed:
             self.settings.setdefault(parameter.name, parameter.value)
@@ -241,9 +241,8 @@ class Loan:
     def _run(self, make: Callable[..., MissionTransfer], kind: int, *arguments: object, **more: object) -> Steps[str]:
         """A transfer from the station in control; why it failed, empty when it did not."""
         c = self._c
-        speaker = c.system_ids[c.fence.station_id]
-        transfer = make(*arguments, target=(c.vehicle, 1), station=(speaker, 190), mission_type=kind, **more)
-        self._desk.start(c.now_s, c.fence, transfer)
+        transfer = make(*arguments, target=(c.vehicle, 1), station=(c.own_id, 190), mission_type=kind, **more)
+        self._desk.start(c.now_s, c.in_force, transfer)
         self._transfer = transfer
         while transfer.running:
             yield
@@ -303,12 +302,11 @@ class Loan:
         if self.ownership is not None:
             # Read anew: after a flight nobody can be sure, and a write left out for a wrong belief is never made.
             now = yield from gcs_ownership.reread(c, self._parameters, self._values)
-            own = c.system_ids[c.fence.station_id]
-            if now is not None and not now.hears(own):
-                c.grant(c.fence.station_id + VEHICLE_STATION, "not heard under its own id")
+            if now is not None and not now.hears(c.own_id):
+                c.grant(c.in_force.station_id, "not heard under its own id", as_vehicle=True)
         settings, self.settings = self.settings, {}
         for name, value in reversed(settings.items()):
-            setting = self._parameters.set(name, value, c.fence)
+            setting = self._parameters.set(name, value, c.in_force)
             yield from wait_until(c, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
             if setting.confirmed:
                 c.emit(EventKind.PARAMETER, name=name, before=None, after=value)
@@ -334,7 +332,7 @@ class Loan:
 
     def _use_a_link_that_is_heard(self) -> None:
         c = self._c
-        station = c.fence.station_id.removesuffix(VEHICLE_STATION)
+        station = c.in_force.station_id
         if not c.monitor.heard_within(c.now_s, station, HEARD_S):
             best = max(c.monitor.links.values(), key=lambda link: link.heard_s)
             c.grant(best.station_id, "the vehicle is heard over its link")

@@ -26,7 +26,7 @@ from link.director.progress import Announcer
 from link.microservices.command import Commander
 from link.microservices.mission_client import MissionDesk
 from link.microservices.parameter import ParameterClient
-from link.session.context import VEHICLE_STATION, FlightContext, plain
+from link.session.context import FlightContext, plain
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
 from link.setpoints.local_projection import LocalMap
@@ -77,10 +77,10 @@ class FlightCore:
         }
         self.codecs = dict(codecs) if codecs is not None else {s: StationCodec(i) for s, i in system_ids.items()}
         vehicle = plan.mission.options.vehicle_system_id
-        encoders = {station: codec.encode for station, codec in self.codecs.items()}
-        for station, codec in self.codecs.items():
-            encoders[station + VEHICLE_STATION] = StationCodec(vehicle, 190, signing=codec.signing).encode
-        gate = TransmitterGate(encoders)
+        gate = TransmitterGate(
+            {station: codec.encode for station, codec in self.codecs.items()},
+            {s: StationCodec(vehicle, 190, signing=codec.signing).encode for s, codec in self.codecs.items()},
+        )
         # Stations that share a link hear the same bytes; each link has a decoder of its own.
         urls = request.urls
         self._sharing = {
@@ -92,17 +92,16 @@ class FlightCore:
             stream = parse_url(url).scheme in STREAM_SCHEMES
             self._decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
         monitor = VehicleMonitor(self.stations, vehicle, frozenset(system_ids.values()) | {vehicle}, urls)
-        ids = {**system_ids, **{s + VEHICLE_STATION: vehicle for s in self.stations}}
         self.context = FlightContext(
             request=request,
             plan=plan,
             profile=profile,
             gate=gate,
             monitor=monitor,
-            commander=Commander(gate.send, ids),
+            commander=Commander(gate.send, system_ids),
             echoes=EchoTracker(runs_on=profile.name == "ardupilot", memory=math.ceil(ECHO_MEMORY_S * request.rate_hz)),
             utc=UtcScale(epoch_unix_s),
-            system_ids=ids,
+            system_ids=system_ids,
             local=LocalMap(plan.plane),
             now_s=now_s,
         )
@@ -195,7 +194,7 @@ class FlightCore:
 
     def take_outgoing(self) -> list[tuple[str, bytes]]:
         """Frames to send now, in order, each with its station."""
-        outgoing = [(station.removesuffix(VEHICLE_STATION), f) for station, f in self.context.gate.take_outgoing()]
+        outgoing = [(sender.station_id, frame) for sender, frame in self.context.gate.take_outgoing()]
         if self._on_frame is not None:
             for _, frame in outgoing:
                 self._on_frame(self.context.now_s, frame)
@@ -279,10 +278,16 @@ class FlightCore:
 
     # -- heartbeats and probes ----------------------------------------------------------------------------------------
 
+    @property
+    def _own_voice(self) -> str | None:
+        """The station in control where it speaks under its own id; None while nobody does."""
+        grant = self.context.gate.in_force
+        return None if grant is None or grant.sender.as_vehicle else grant.station_id
+
     def _heartbeats(self) -> None:
         c = self.context
-        for station in (c.gate.holder, c.gate.incoming):
-            if station is None or station.endswith(VEHICLE_STATION):
+        for station in (self._own_voice, c.gate.incoming):
+            if station is None:
                 continue
             if c.now_s - self._beat.get(station, -math.inf) >= HEARTBEAT_S - 1e-6:
                 self._beat[station] = c.now_s
@@ -301,7 +306,7 @@ class FlightCore:
 
     def _probes(self) -> None:
         c = self.context
-        near = self._near = {c.gate.holder}
+        near = self._near = {self._own_voice}
         every_s = PROBE_S
         if not c.state.airborne:
             # On the ground every link is to be judged within seconds, losses or not.
@@ -316,8 +321,8 @@ class FlightCore:
             if c.now_s - self._probed.get(station, -math.inf) >= due_s - 1e-6:
                 self._probed[station] = c.now_s
                 # A station the vehicle does not hear proves its link with the id that is always heard.
-                deaf = c.keeper is not None and station != c.gate.holder and not c.keeper.hears(station)
-                c.gate.probe(station + VEHICLE_STATION if deaf else station, c.monitor.probe(c.now_s, station))
+                deaf = c.keeper is not None and station != self._own_voice and not c.keeper.hears(station)
+                c.gate.probe(station, c.monitor.probe(c.now_s, station), as_vehicle=deaf)
 
     # -- words --------------------------------------------------------------------------------------------------------
 
@@ -407,7 +412,7 @@ class FlightCore:
 
     def _stop_on_ground(self, reason: str) -> Steps[None]:
         c = self.context
-        if c.gate.fence is not None and c.armed:
+        if c.gate.in_force is not None and c.armed:
             ticket = c.start_command("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
             while not ticket.finished:
                 yield
@@ -437,7 +442,7 @@ class FlightCore:
             "plan_sha256": c.plan.plan_sha256,
             "preflight_id": self.launch.preflight_id,
             "preflight_age_s": None if math.isinf(judged_s) else round(c.now_s - judged_s, 1),
-            "fence": None if c.gate.fence is None else c.gate.fence.number,
+            "fence": None if c.gate.in_force is None else c.gate.in_force.number,
             "loss_timeout_s": self.launch.loss_timeout_s,
             **self.announcer.where(),
             "lateness": self.lateness.to_document(),

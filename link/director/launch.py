@@ -37,7 +37,7 @@ from link.preflight.vehicle import (
     judge_plan,
     judge_vehicle,
 )
-from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps, answered, wait_until
 from link.transport.url import is_local
 
@@ -160,7 +160,7 @@ class Launch:
         if not c.request.rescue:
             raise Refused(f"the vehicle is heard but answers no command: {hint}; allow the rescue to take it over")
         first = c.plan.station_ids[0]
-        c.grant(first + "!", "rescue")
+        c.grant(first, "rescue", as_vehicle=True)
         yield from self._read()
         before = gcs_ownership.present(self.values)
         if before is None:
@@ -256,7 +256,7 @@ class Launch:
         asked: dict[str, Asked] = {}
         for attempts in range(ATTEMPTS, MOST_ATTEMPTS + 1, ATTEMPTS):
             missing = [name for name in names if name not in asked or not (asked[name].answer or asked[name].denied)]
-            again = self.parameters.read(missing, self._c.fence)
+            again = self.parameters.read(missing, self._c.in_force)
             asked.update({one.name: one for one in again})
             yield from wait_until(self._c, lambda a=again: all(one.finished for one in a), 60.0)  # type: ignore[misc]
             denied = frozenset(one.name for one in asked.values() if one.denied)
@@ -273,7 +273,7 @@ class Launch:
 
     def _loss(self) -> float | None:
         """Share of questions that go unanswered lately on the link of the station in control, by its probes."""
-        station = self._c.fence.station_id.removesuffix(VEHICLE_STATION)
+        station = self._c.in_force.station_id
         return self._c.monitor.links[station].active.round_loss(self._c.now_s)
 
     def _failsafes(self) -> Steps[list[Check]]:
@@ -290,7 +290,7 @@ class Launch:
         for check in unsafe:
             assert check.set is not None
             name, value = check.set
-            setting = self.parameters.set(name, value, c.fence)
+            setting = self.parameters.set(name, value, c.in_force)
             yield from wait_until(c, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
             c.emit(EventKind.PARAMETER, name=name, before=check.value, after=value if setting.confirmed else None)
         yield from self._read()

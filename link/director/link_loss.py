@@ -109,7 +109,7 @@ class Lapse:
         """What little is said goes over the link proved last."""
         c = self._c
         best = max(c.monitor.links.values(), key=lambda link: link.proven_s)
-        if best.proven_s > c.monitor.links[c.fence.station_id].proven_s + BETTER_LINK_S:
+        if best.proven_s > c.monitor.links[c.in_force.station_id].proven_s + BETTER_LINK_S:
             c.grant(best.station_id, "the link proved last")
 
     def _command_last_resort(self) -> None:

@@ -89,7 +89,7 @@ class Announcer:
         position, tracking = c.monitor.position, air.lag.tracking
         # On the ground nobody measures it by the tick.
         air.range.update()
-        station, margin_m = c.gate.holder, air.range.margin_m
+        station, margin_m = c.speaker, air.range.margin_m
         return {
             "station": station,
             "plan_s": None if air.line else round(air.reference.time_s, 3),
@@ -105,7 +105,7 @@ class Announcer:
             "behind_m": None if tracking is None else round(tracking.behind_m, 2),
             "beside_m": None if tracking is None else round(tracking.beside_m, 2),
             "margin_m": None if margin_m is None else round(margin_m, 1),
-            "uplink_age_s": round(air.uplink.age_s, 3) if c.gate.fence is not None else None,
+            "uplink_age_s": round(air.uplink.age_s, 3) if c.gate.in_force is not None else None,
             "mode": c.mode,
             "armed": c.armed,
             "battery_percent": c.monitor.battery_percent,

@@ -24,9 +24,9 @@ from gcs.flight import EventKind
 from link.errors import GateClosed
 from link.microservices.parameter import ParameterClient, same_value
 from link.microservices.parameter_value import Parameter, write_parameter
-from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.context import FlightContext
 from link.session.procedure import Steps, wait_until
-from link.transport.gate import Fence
+from link.transport.gate import ControlGrant, Sender
 
 ENFORCE = 1
 KEYS = ("gcs_system_id", "gcs_system_id_high", "enforce_gcs")
@@ -99,17 +99,17 @@ def apply(
 
     Where the station in control is not heard (any more), its link is used with the vehicle's own id.
     """
-    station = context.fence.station_id.removesuffix(VEHICLE_STATION)
+    station = context.in_force.station_id
     done = True
     for key, value in writes(before, after):
         parameter = values[key]
         assert parameter is not None
         old = parameters.known[parameter.name].value
-        taken = yield from _write(context, parameters, parameter.name, value, context.fence)
+        taken = yield from _write(context, parameters, parameter.name, value, context.in_force)
         if not taken:
             # The answer may have been lost on a link that is shut to us now.
-            context.grant(station + VEHICLE_STATION, "not heard under its own id")
-            taken = yield from _write(context, parameters, parameter.name, value, context.fence)
+            context.grant(station, "not heard under its own id", as_vehicle=True)
+            taken = yield from _write(context, parameters, parameter.name, value, context.in_force)
         if taken:
             context.emit(EventKind.PARAMETER, name=parameter.name, before=old, after=value)
         done = done and taken
@@ -117,8 +117,10 @@ def apply(
     return done
 
 
-def _write(context: FlightContext, parameters: ParameterClient, name: str, value: int, fence: Fence) -> Steps[bool]:
-    setting = parameters.set(name, value, fence, attempts=6)
+def _write(
+    context: FlightContext, parameters: ParameterClient, name: str, value: int, grant: ControlGrant
+) -> Steps[bool]:
+    setting = parameters.set(name, value, grant, attempts=6)
     while not setting.finished:
         yield
     return setting.confirmed
@@ -128,11 +130,11 @@ def reread(
     context: FlightContext, parameters: ParameterClient, values: Mapping[str, Parameter | None]
 ) -> Steps[Ownership | None]:
     """What the vehicle says now, asked under the station's own id and then under the vehicle's; None: no answer."""
-    station = context.fence.station_id.removesuffix(VEHICLE_STATION)
+    station = context.in_force.station_id
     names = {key: parameter.name for key in KEYS if (parameter := values.get(key)) is not None}
-    for speaker in (station, station + VEHICLE_STATION):
-        context.grant(speaker, "whom does the vehicle hear")
-        asked = parameters.read(names.values(), context.fence)
+    for as_vehicle in (False, True):
+        context.grant(station, "whom does the vehicle hear", as_vehicle=as_vehicle)
+        asked = parameters.read(names.values(), context.in_force)
         yield from wait_until(context, lambda a=asked: all(one.finished for one in a), 30.0)  # type: ignore[misc]
         answers = {one.name: one.answer for one in asked}
         if all(answer is not None for answer in answers.values()):
@@ -181,7 +183,7 @@ class Keeper:
         holder = gate.holder
         if holder is None:
             return None
-        own = self._c.system_ids[holder.removesuffix(VEHICLE_STATION)]
+        own = self._c.system_ids[holder]
         if self.claimed is not None:
             return any_state.alone(self._c.system_ids[self.claimed])
         if gate.incoming is not None and self.ranged:
@@ -215,15 +217,15 @@ class Keeper:
 
     def _put(self, key: str, value: int) -> None:
         c, parameter = self._c, self._parameters[key]
-        fence = c.fence
-        station = fence.station_id.removesuffix(VEHICLE_STATION)
+        grant = c.in_force
+        station = grant.station_id
         rescue = not self.hears(station) or self._tries > OWN_TRIES
         message = write_parameter(parameter.name, value, parameter.kind, "c_cast", target_system=c.vehicle)
         if rescue and not self._rescued:
             self._rescued = True
             c.alarm("ownership by the vehicle's own id", station=station, parameter=parameter.name, value=value)
         try:
-            c.gate.send(fence, message, speaker=station + VEHICLE_STATION if rescue else None)
+            c.gate.send(grant, message, sender=Sender(station, as_vehicle=True) if rescue else None)
         except GateClosed:
             return
         self.states = self.states | {replace(state, **{FIELDS[key]: value}) for state in self.states}

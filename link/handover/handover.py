@@ -280,10 +280,10 @@ class Handover:
             # A vehicle that drops the new station in silence runs on along the old one's last setpoint, which may look
             # like the new one's for seconds: only an answer shows whom it hears.
             return ""
-        fence = c.gate.fence
-        if c.monitor.target is not None and c.monitor.target_s > self._moved_s and fence is not None:
+        grant = c.gate.in_force
+        if c.monitor.target is not None and c.monitor.target_s > self._moved_s and grant is not None:
             held = c.echoes.held(c.monitor.target)
-            if held and all(sent.fence == fence.number for sent in held):
+            if held and all(sent.grant == grant.number for sent in held):
                 return "its setpoint is held"
         return ""
 

@@ -85,7 +85,7 @@ class Custody:
         gap_s = c.now_s - c.last_setpoint_s
         if gap_s > limit_s:
             return Loss(f"no setpoint was sent for {gap_s:.2f} s", pin=True)
-        if c.adopt_origin(c.fence.station_id):
+        if c.adopt_origin(c.in_force.station_id):
             c.alarm("EKF origin moved")
         if fresh and not c.follows and c.state is not FlightState.LANDING:
             return Loss(f"the vehicle left {c.profile.offboard_mode} for {c.mode}")

@@ -28,7 +28,7 @@ class Lead:
 
     def update(self, dt_s: float) -> None:
         """Follow the latency; once a tick."""
-        station = self._c.fence.station_id
+        station = self._c.in_force.station_id
         latency_s = self._c.monitor.links[station].latency_s
         if latency_s is None:
             return
@@ -44,5 +44,5 @@ class Lead:
     @property
     def missing_s(self) -> float:
         """Latency that is not led."""
-        latency_s = self._c.monitor.links[self._c.fence.station_id].latency_s
+        latency_s = self._c.monitor.links[self._c.in_force.station_id].latency_s
         return 0.0 if latency_s is None else max(0.0, latency_s - self.seconds)

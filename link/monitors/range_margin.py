@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.context import FlightContext
 
 
 class RangeWatch:
@@ -21,11 +21,10 @@ class RangeWatch:
     def update(self) -> None:
         """Measure the newest position; once a tick."""
         c = self._c
-        position, holder = c.monitor.position, c.gate.holder
+        position, station = c.monitor.position, c.gate.holder
         here = c.position_enu_m()
-        if position is None or holder is None or here is None:
+        if position is None or station is None or here is None:
             return
-        station = holder.removesuffix(VEHICLE_STATION)
         if self._seen == (position.boot_s, station):
             return
         self._seen = (position.boot_s, station)

@@ -36,7 +36,7 @@ class UplinkMonitor:
     def update(self) -> None:
         """Look at the newest answers; once a tick."""
         c = self._c
-        self._proven_s = max(self._proven_s, c.monitor.links[c.fence.station_id].proven_s)
+        self._proven_s = max(self._proven_s, c.monitor.links[c.in_force.station_id].proven_s)
         if c.monitor.target is None or c.monitor.target_s <= self._target_s:
             return
         self._target_s = c.monitor.target_s

@@ -19,13 +19,10 @@ from link.setpoints.local_projection import LocalMap
 from link.setpoints.setpoint import Setpoint
 from link.telemetry.setpoint_echo import EchoTracker, Sent
 from link.telemetry.vehicle_monitor import VehicleMonitor
-from link.transport.gate import VEHICLE_SPEAKER, Fence, TransmitterGate
+from link.transport.gate import ControlGrant, Sender, TransmitterGate
 
 if TYPE_CHECKING:
     from link.handover.gcs_ownership import Keeper
-
-VEHICLE_STATION = VEHICLE_SPEAKER
-"""Suffix of the gate's extra station that speaks with the vehicle's own id over a station's link (see ownership)."""
 
 
 def plain(value: Any) -> Any:
@@ -96,20 +93,33 @@ class FlightContext:
         return self.monitor.vehicle_system_id
 
     @property
-    def fence(self) -> Fence:
+    def in_force(self) -> ControlGrant:
         """The grant in force. Raises `RuntimeError` while nobody is in control: the caller must have granted."""
-        fence = self.gate.fence
-        if fence is None:
+        grant = self.gate.in_force
+        if grant is None:
             raise RuntimeError("nobody is in control")
-        return fence
+        return grant
 
-    def grant(self, station_id: str, reason: str) -> None:
-        """Move control to a station, at once, and say so."""
-        if self.gate.holder == station_id:
+    @property
+    def own_id(self) -> int:
+        """The system id that is spoken with under the grant in force."""
+        sender = self.in_force.sender
+        return self.vehicle if sender.as_vehicle else self.system_ids[sender.station_id]
+
+    @property
+    def speaker(self) -> str | None:
+        """Who is in control, as events tell it (`link.transport.gate.Sender`); None while nobody is."""
+        grant = self.gate.in_force
+        return None if grant is None else str(grant.sender)
+
+    def grant(self, station_id: str, reason: str, *, as_vehicle: bool = False) -> None:
+        """Move control to a station, at once, and say so; ``as_vehicle``: to speak with the vehicle's own id."""
+        before = self.gate.in_force
+        if before is not None and before.sender == Sender(station_id, as_vehicle):
             return
-        before = self.gate.holder
-        fence = self.gate.grant(station_id)
-        self.emit(EventKind.GATE, fence=fence.number, station=station_id, before=before, reason=reason)
+        told = self.speaker
+        grant = self.gate.grant(station_id, as_vehicle=as_vehicle)
+        self.emit(EventKind.GATE, fence=grant.number, station=self.speaker, before=told, reason=reason)
 
     def start_command(
         self, name: str, command: int, params: tuple[float, ...] = (), *, retry_s: float = 0.5, attempts: int = 6
@@ -117,7 +127,7 @@ class FlightContext:
         """Send a command from the station in control."""
         return self.commander.start(
             self.now_s,
-            self.fence,
+            self.in_force,
             name,
             command,
             params,
@@ -138,8 +148,8 @@ class FlightContext:
             time_boot_ms=int(self.now_s * 1000.0) & 0xFFFFFFFF,
             origin=self.origin,
         )
-        fence = self.fence
-        self.gate.send(fence, message)
+        grant = self.in_force
+        self.gate.send(grant, message)
         self.setpoints_sent += 1
         self.last_setpoint_s = self.now_s
         self.last_setpoint = setpoint
@@ -149,8 +159,8 @@ class FlightContext:
             self.echoes.note(
                 Sent(
                     self.now_s,
-                    fence.station_id,
-                    fence.number,
+                    grant.station_id,
+                    grant.number,
                     (north, east, down),
                     setpoint.velocity_ned_m_s,
                     setpoint.acceleration_ned_m_s2,

@@ -18,6 +18,8 @@ HANDOVER_WAYS = ("auto", "gate", "range", "parameter", "operator_control")
 SET_PARAMETERS = ("auto", "yes", "no")
 LAST_RESORTS = ("return", "land", "stay")
 MIN_START_REST_M_S = 0.01
+_KEYS = {"lay_geofence": "fence"}
+"""Fields that documents name otherwise."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class FlightRequest:
     - ``set_parameters``: whether failsafe parameters found unsafe are set (and read back): ``"auto"`` on our simulator
       alone, ``"yes"``, or ``"no"``: then the flight is refused with what to set.
     - ``rally``: upload the mission's safe points as rally points (what the vehicle held comes back after the flight);
-      ``fence``: lay a fence around the plan for the flight.
+      ``lay_geofence``: lay a geofence around the plan for the flight (``fence`` in a document).
     - ``operator_words``: each handover needs the next station's operator's word.
     - ``wait_for_station_s``: how long to stand before a station that is not ready until the contingency is flown.
     - ``hold_limit_s``: how long a hold nobody asked for lasts until the contingency is flown.
@@ -65,7 +67,7 @@ class FlightRequest:
     set_parameters: str = "auto"
     handover_way: str = "auto"
     rally: bool = True
-    fence: bool = False
+    lay_geofence: bool = False
     operator_words: bool = False
     wait_for_station_s: float = 60.0
     hold_limit_s: float = 300.0
@@ -205,7 +207,7 @@ class FlightRequest:
 
     def to_document(self) -> dict[str, Any]:
         """As a JSON object."""
-        document = {f.name: getattr(self, f.name) for f in fields(self) if not f.name.startswith("_")}
+        document = {_KEYS.get(f.name, f.name): getattr(self, f.name) for f in fields(self) if f.name[0] != "_"}
         document["links"] = {s: urls[0] if len(urls) == 1 else list(urls) for s, urls in self.urls.items()}
         document["plan"] = dict(self.plan)
         return document
@@ -213,14 +215,14 @@ class FlightRequest:
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> FlightRequest:
         """From `to_document`. Raises `FlightRequestError` for unknown or missing fields too."""
-        known = {f.name for f in fields(cls) if not f.name.startswith("_")}
+        known = {_KEYS.get(f.name, f.name): f.name for f in fields(cls) if f.name[0] != "_"}
         problems = [
             Fault(name, "no such field", allowed=", ".join(sorted(known))) for name in document if name not in known
         ]
         problems += [Fault(name, "missing") for name in ("plan", "autopilot", "links") if name not in document]
         if problems:
             raise FlightRequestError(problems)
-        return cls(**document)
+        return cls(**{known[key]: value for key, value in document.items()})
 
 
 def launch_problems(plan: Plan, request: FlightRequest) -> list[Fault]:

@@ -10,11 +10,11 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A setpoint that went out: when, from whom, and what it asked in the vehicle's local frame (NED)."""
+    """A setpoint that went out: when, from whom, under which grant, and what it asked in the local frame (NED)."""
 
     sent_s: float
     station_id: str
-    fence: int
+    grant: int
     position_m: tuple[float, float, float]
     velocity_m_s: tuple[float, float, float]
     acceleration_m_s2: tuple[float, float, float]

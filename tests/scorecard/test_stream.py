@@ -20,6 +20,7 @@ import pytest
 from gcs.flight import FlightState
 from link.director.core import FlightCore
 from link.streamer.supervisor import start_flight
+from link.transport.gate import Sender
 from link.wire.codec import StationCodec
 from link.wire.signing import Signing, SigningKey
 from link.wire.signing_timestamps import SigningStore
@@ -326,7 +327,7 @@ def handovers_under_jumps(
         # What comes from the simulated vehicle is unsigned; what goes to it is stamped.
         signing = Signing(key, context.system_ids[station], SigningStore.in_memory(), allow_unsigned=range(70_000))
         one.core.codecs[station] = codec = StationCodec(context.system_ids[station], signing=signing)
-        context.gate._encoders[station] = codec.encode
+        context.gate._encoders[Sender(station)] = codec.encode
     while one.core.state is not FlightState.ARRIVED and one.now_s < 200.0:
         one.run_for(0.1)
         if jumps is not None:

@@ -65,7 +65,8 @@ class Bench:
 
     def deliver(self) -> None:
         self.senders = []
-        for station, frame in self.c.gate.take_outgoing():
+        for sender, frame in self.c.gate.take_outgoing():
+            station = sender.station_id
             for message in self.decoder.decode(frame):
                 if message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT":
                     self.senders.append(station)

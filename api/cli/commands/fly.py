@@ -94,7 +94,7 @@ def fly(
         set_parameters=set_parameters,
         handover_way=handover_way,
         rally=rally,
-        fence=fence,
+        lay_geofence=fence,
         signing_key=signing_key,
         allow_unsigned=allow_unsigned,
     )

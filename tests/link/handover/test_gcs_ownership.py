@@ -15,9 +15,8 @@ from link.director.core import FlightCore
 from link.errors import GateClosed
 from link.handover.gcs_ownership import ENFORCE, Keeper, Ownership
 from link.microservices.parameter_value import Parameter
-from link.session.context import VEHICLE_STATION
 from link.session.request import FlightRequest
-from link.transport.gate import TransmitterGate
+from link.transport.gate import Sender, TransmitterGate
 from tests.support.flight_plans import relay_plan
 from tests.support.ground_flight import checks, on_ground
 from tests.support.virtual_flight import Proxy, VirtualFlight
@@ -194,9 +193,9 @@ class Desk:
     def tick(self, reaches: bool, answered: bool) -> None:
         self.c.now_s += 0.05
         self.keeper.step(self.c.now_s)
-        for station, frame in self.c.gate.take_outgoing():
+        for sender, frame in self.c.gate.take_outgoing():
             (message,) = mavlink.MAVLink(None).parse_buffer(bytearray(frame)) or []
-            assert station.removesuffix(VEHICLE_STATION) == self.c.gate.holder
+            assert sender.station_id == self.c.gate.holder
             own = message.get_srcSystem() == self.c.vehicle
             if not reaches or not (own or self.truth.hears(message.get_srcSystem())):
                 continue
@@ -243,13 +242,13 @@ def test_whatever_is_lost_the_truth_is_among_the_candidates_and_the_holder_ends_
 
 
 def test_the_vehicles_own_id_is_no_door_for_a_station_that_is_not_in_control() -> None:
-    gate = TransmitterGate({s: lambda m: b"" for s in ("s1", "s1!", "s2", "s2!")})
-    fence = gate.grant("s1")
+    gate = TransmitterGate({s: lambda m: b"" for s in ("s1", "s2")}, {s: lambda m: b"" for s in ("s1", "s2")})
+    grant = gate.grant("s1")
     message = mavlink.MAVLink_param_set_message(1, 1, b"MAV_GCS_SYSID", 242.0, 4)
-    gate.send(fence, message, speaker="s1!")
+    gate.send(grant, message, sender=Sender("s1", as_vehicle=True))
     with pytest.raises(GateClosed, match="s1 is in control"):
-        gate.send(fence, message, speaker="s2!")
+        gate.send(grant, message, sender=Sender("s2", as_vehicle=True))
     gate.grant("s2")
     with pytest.raises(GateClosed):
-        gate.send(fence, message, speaker="s1!")
+        gate.send(grant, message, sender=Sender("s1", as_vehicle=True))
     assert gate.stats.blocked == 2

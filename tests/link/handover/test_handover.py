@@ -13,6 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from gcs.flight import HandoverState, TransitionError
 from link.dialect import mavlink
 from link.errors import GateClosed
+from link.transport.gate import ControlGrant, Sender
 from tests.support.handover_bench import FIRST, STATIONS, Bench
 
 
@@ -256,9 +257,9 @@ class RelayMachine(RuleBasedStateMachine):
         bench.tick(to_s, backwards=self.backwards)
         # One setpoint, from the one station in control.
         assert bench.senders == [bench.c.gate.holder]
-        # Nobody else gets a word in, whatever fence it still holds.
+        # Nobody else gets a word in, whatever grant it still holds.
         for station in STATIONS:
-            stale = type(bench.c.fence)(bench.c.fence.number - 1, station)
+            stale = ControlGrant(bench.c.in_force.number - 1, Sender(station))
             with pytest.raises(GateClosed):
                 bench.c.gate.send(stale, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
         for event in bench.c.events[told:]:

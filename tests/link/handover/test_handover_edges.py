@@ -43,7 +43,7 @@ class One:
     def commands(self) -> list[tuple[str, Any]]:
         """(station, message) of the commands sent since the last look."""
         frames = self.c.gate.take_outgoing()
-        found = [(station, m) for station, frame in frames for m in self.bench.decoder.decode(frame)]
+        found = [(sender.station_id, m) for sender, frame in frames for m in self.bench.decoder.decode(frame)]
         return [(station, m) for station, m in found if m.get_type() == "COMMAND_LONG"]
 
     def answer(self, result: int, command: int, station_id: int) -> None:
@@ -245,14 +245,14 @@ def test_the_way_stays_open_for_half_an_attempt() -> None:
 def test_no_evidence_ends_the_attempt_to_the_moment_and_the_next_is_half_a_second_later() -> None:
     one = One()
     assert one.step() is HandoverState.REQUESTED
-    before = one.c.fence.number
+    before = one.c.in_force.number
     one.c.now_s = 64.5 - 1e-6
     assert one.step() is HandoverState.REQUESTED
     one.c.now_s = 64.5
     assert one.step() is HandoverState.TIMED_OUT
     assert one.handover.reason == "no evidence from the vehicle"
     assert (one.c.gate.holder, one.c.gate.incoming) == ("s1", None)
-    assert one.c.fence.number == before + 1
+    assert one.c.in_force.number == before + 1
     grants = [e.data["reason"] for e in one.c.events if e.kind.value == "gate"]
     assert grants[-2:] == ["handover 1", "handover 1 not confirmed"]
     one.commands()
@@ -333,14 +333,14 @@ class Target:
         self.x, self.y, self.z = north_m, 0.0, 0.0
 
 
-def sent(one: One, fence: int, north_m: float) -> None:
-    one.c.echoes.note(Sent(one.c.now_s, "?", fence, (north_m, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+def sent(one: One, grant: int, north_m: float) -> None:
+    one.c.echoes.note(Sent(one.c.now_s, "?", grant, (north_m, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 def test_a_repeated_setpoint_is_evidence_when_only_the_new_station_can_have_sent_it() -> None:
     one = One()
     one.step()
-    old, new = one.c.fence.number - 1, one.c.fence.number
+    old, new = one.c.in_force.number - 1, one.c.in_force.number
     sent(one, old, 0.0)
     sent(one, new, 10.0)
     # Nobody's, the old station's, or one that either may have sent: no evidence.
@@ -362,7 +362,7 @@ def test_what_was_repeated_before_control_moved_is_no_evidence() -> None:
     one = One()
     one.c.monitor.target, one.c.monitor.target_s = Target(10.0), 64.0
     one.step()
-    sent(one, one.c.fence.number, 10.0)
+    sent(one, one.c.in_force.number, 10.0)
     assert one.step(after_s=0.02) is HandoverState.REQUESTED
     one.c.monitor.target_s = 64.001
     assert one.step() is HandoverState.RELEASED
@@ -422,7 +422,7 @@ def test_what_it_repeats_proves_nothing_where_the_vehicle_arbitrates() -> None:
     one.step()
     one.answer(0, 32100, OLD)
     one.step(after_s=0.05)
-    sent(one, one.c.fence.number, 10.0)
+    sent(one, one.c.in_force.number, 10.0)
     one.c.monitor.target, one.c.monitor.target_s = Target(10.0), one.c.now_s + 0.01
     assert one.step(after_s=0.02) is HandoverState.REQUESTED
 
@@ -432,11 +432,11 @@ def test_a_takeover_that_is_not_allowed_or_not_granted_leaves_the_old_station(re
     word = {2: "DENIED", 4: "FAILED"}[result]
     first = One(way="operator_control", attempt_s=5.0)
     first.step()
-    number = first.c.fence.number
+    number = first.c.in_force.number
     first.answer(result, 32100, OLD)
     assert first.step(after_s=0.05) is HandoverState.FAILED
     assert first.handover.reason == f"the vehicle answered {word}"
-    assert first.c.fence.number == number  # control never moved
+    assert first.c.in_force.number == number  # control never moved
     assert first.c.gate.incoming is None
     second = One(way="operator_control", attempt_s=5.0)
     second.step()
@@ -513,7 +513,7 @@ def test_where_two_can_be_heard_control_moves_once_both_are() -> None:
     assert one.step(after_s=0.05) is HandoverState.REQUESTED
     assert (one.c.gate.holder, one.c.gate.incoming) == ("s2", "s1")
     # A repeated setpoint is no evidence here: only an answer shows whom the vehicle hears.
-    sent(one, one.c.fence.number, 10.0)
+    sent(one, one.c.in_force.number, 10.0)
     one.c.monitor.target, one.c.monitor.target_s = Target(10.0), one.c.now_s + 0.01
     assert one.step(after_s=0.02) is HandoverState.REQUESTED
     one.answer(mavlink.MAV_RESULT_ACCEPTED, 512, NEW)

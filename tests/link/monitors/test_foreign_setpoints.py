@@ -27,7 +27,7 @@ class Sky:
         self.c = SimpleNamespace(
             now_s=0.0,
             state=state,
-            fence=SimpleNamespace(station_id="s1"),
+            in_force=SimpleNamespace(station_id="s1"),
             echoes=EchoTracker(runs_on=False),
             monitor=SimpleNamespace(target=None, target_s=-math.inf, links={"s1": SimpleNamespace(proven_s=-math.inf)}),
             alarm=lambda what, **_: self.alarms.append((self.c.now_s, what)),

@@ -128,8 +128,8 @@ def test_control_status_and_the_ekf_origin_are_kept_by_link() -> None:
     assert origin.alt_amsl_m == 30.0
 
 
-def sent(time_s: float, east_m: float, station: str, fence: int, accel: float = 0.5, speed: float = 15.0) -> Sent:
-    return Sent(time_s, station, fence, (0.0, east_m, -40.0), (0.0, speed, 0.0), (accel, 0.0, 0.0))
+def sent(time_s: float, east_m: float, station: str, grant: int, accel: float = 0.5, speed: float = 15.0) -> Sent:
+    return Sent(time_s, station, grant, (0.0, east_m, -40.0), (0.0, speed, 0.0), (accel, 0.0, 0.0))
 
 
 def target(east_m: float, accel: float = 0.5) -> Any:
@@ -151,7 +151,7 @@ def test_hovering_setpoints_cannot_be_told_apart() -> None:
     echoes = EchoTracker(runs_on=False)
     echoes.note(sent(0.0, 5.0, "a", 1))
     echoes.note(sent(0.1, 5.0, "b", 2))
-    assert {s.fence for s in echoes.held(target(5.0))} == {1, 2}
+    assert {s.grant for s in echoes.held(target(5.0))} == {1, 2}
 
 
 def test_ardupilots_target_runs_on_so_its_acceleration_must_tell() -> None:
