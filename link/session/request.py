@@ -123,6 +123,12 @@ class FlightRequest:
         """Stations with a link: the plan's in flight order, then those in reserve."""
         return tuple(dict.fromkeys([*self.flown_plan.station_ids, *self.links]))
 
+    @property
+    def system_ids(self) -> dict[str, int]:
+        """The MAVLink system id of each of `stations`."""
+        mission = self.flown_plan.mission
+        return {s: int(mission.stations[mission.station_index(s)].system_id or 0) for s in self.stations}
+
     def _numbers(self) -> list[Fault]:
         limits = {
             "rate_hz": (5.0, 100.0),

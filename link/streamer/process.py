@@ -64,15 +64,13 @@ def make_codecs(request: FlightRequest, run_dir: Path) -> dict[str, StationCodec
 
     Raises `link.errors.SigningError` when the key or the stamps cannot be used.
     """
-    plan = request.flown_plan
     key = None
     if request.signing_key is not None:
         kind, name = request.signing_key.split(":", 1)
         key = SigningKey.from_file(name) if kind == "file" else SigningKey.from_environment(name)
     folder = Path(request.signing_state) if request.signing_state is not None else run_dir
     codecs = {}
-    for station_id in request.stations:
-        system_id = int(plan.mission.stations[plan.mission.station_index(station_id)].system_id or 0)
+    for station_id, system_id in request.system_ids.items():
         signing = None
         if key is not None:
             # A distinct link id for each station; RADIO_STATUS comes from the modem, which has no key.
@@ -197,7 +195,7 @@ class Streamer:
             for data in endpoint.receive():
                 self.core.receive(self._first[url], data, self.clock.now_s(), url)
                 if isinstance(self.clock, PacedClock):
-                    position = self.core.context.monitor.position
+                    position = self.core.context.vehicle.monitor.position
                     self.clock.heard(None if position is None else position.boot_s)
         for client, line in self.control.receive():
             self._answer(client, line)

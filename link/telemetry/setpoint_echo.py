@@ -36,9 +36,9 @@ class EchoTracker:
     setpoints stop coming, and is not followed so far on purpose. As proof (`held`) such a target tells nothing new:
     the setpoint it began with was proved while it was fresh, and a longer reach would take more of them for possible.
     As a place (`distance_m`) it is near what we send meanwhile, which goes on too: in 2.85 s without uplink, after
-    which the stream counts as lapsed, it comes 0.7 m away from that in cruise, and 5.1 m in a stop at 2.5 m/s^2 from
-    15 m/s: 7.5 m are allowed here and 5 m more by `link.monitors.tracking.STRANGE_M`. A vehicle that brakes twice as
-    hard may get an alarm of a strange target in the last half second before that lapse; it never brings the lapse
+    which the C2 link counts as lost, it comes 0.7 m away from that in cruise, and 5.1 m in a stop at 2.5 m/s^2 from
+    15 m/s: 7.5 m are allowed here and 5 m more by `link.monitors.uplink.FOREIGN_TARGET_M`. A vehicle that brakes twice
+    as hard may get an alarm of a foreign target in the last half second before that loss; it never brings the loss
     about."""
     LATELY_S = 1.5
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from link.dialect import mavlink
-from link.monitors.tracking import STRANGE_M
+from link.monitors.uplink import FOREIGN_TARGET_M
 from link.telemetry.setpoint_echo import EchoTracker, Sent
 from link.telemetry.vehicle_monitor import VehicleMonitor
 from link.wire.codec import StationCodec
@@ -176,5 +176,5 @@ def test_a_target_that_ran_on_for_seconds_proves_nothing_and_is_no_strangers() -
         ran_on = target(15.0 * t, accel=0.5)
         # The one it holds, while that is fresh; never one that was lost.
         assert [s.sent_s for s in echoes.held(ran_on)] == ([0.0] if t <= 0.5 else [])
-        assert echoes.distance_m(ran_on) <= STRANGE_M
-    assert echoes.distance_m(target(15.0 * 2.8 + 20.0)) > STRANGE_M
+        assert echoes.distance_m(ran_on) <= FOREIGN_TARGET_M
+    assert echoes.distance_m(target(15.0 * 2.8 + 20.0)) > FOREIGN_TARGET_M

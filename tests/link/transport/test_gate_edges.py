@@ -91,6 +91,26 @@ def test_a_message_at_the_wrong_door_is_an_error_and_not_sent_whoever_holds_cont
     assert gate.stats == GateStats()
 
 
+def test_a_sender_reads_back_from_its_text() -> None:
+    for sender, text in ((Sender("a"), "a"), (Sender("a", as_vehicle=True), "a!")):
+        assert str(sender) == text
+        assert Sender.from_text(text) == sender
+
+
+def test_no_heartbeat_is_sent_of_a_station_whose_link_carries_the_vehicles_own_id() -> None:
+    encode = {s: StationCodec(n).encode for s, n in STATIONS.items()}
+    gate = TransmitterGate(encode, encode)
+    gate.grant("a", as_vehicle=True)
+    assert gate.holder == "a"
+    gate.accompany("b")
+    assert [gate.heartbeat(s, heartbeat()) for s in STATIONS] == [False, True, False]
+    gate.probe("a", timesync())
+    gate.probe("a", timesync(), as_vehicle=True)
+    assert [str(sender) for sender, _ in gate.take_outgoing()] == ["b", "a", "a!"]
+    with pytest.raises(KeyError, match="'d!'"):
+        gate.grant("d", as_vehicle=True)
+
+
 def test_the_vehicles_own_id_is_a_voice_of_the_station_in_control_and_of_no_other() -> None:
     own = {s: StationCodec(1, 190).encode for s in STATIONS}
     gate = TransmitterGate({s: StationCodec(n).encode for s, n in STATIONS.items()}, own)
