@@ -27,6 +27,7 @@ from link.preflight import geofence
 from link.preflight.check import Check, Level
 from link.session.context import FlightContext
 from link.session.procedure import Steps, wait_until
+from link.session.request import HandoverWay
 
 MOST_RALLY_POINTS = 30
 """PX4 keeps 32."""
@@ -81,7 +82,7 @@ class BorrowedSettings:
         vehicle, control = self._vehicle, self._control
         self._values = values
         way = self._request.handover_way
-        if vehicle.profile.name != "ardupilot" or way in ("gate", "operator_control"):
+        if vehicle.profile.name != "ardupilot" or way in (HandoverWay.GATE, HandoverWay.OPERATOR_CONTROL):
             return []
         before = gcs_ids.present(values)
         used = {station: control.system_ids[station] for station in vehicle.monitor.links}
@@ -90,19 +91,19 @@ class BorrowedSettings:
             fix = "give --handover-way gate to fly without, knowing that the vehicle then obeys anybody"
             told = "the vehicle does not tell whom it hears"
             return [Check("ownership", Level.ERROR, told, None, required, fix=fix)]
-        if before.high is None and len(used) > 1 and way != "parameter":
+        if before.high is None and len(used) > 1 and way != HandoverWay.PARAMETER:
             told = "this firmware knows one station at a time: no range of ids (MAV_GCS_SYSID_HI, ArduPilot 4.7)"
             fix = "give --handover-way parameter: the vehicle is then told of each handover, the only way it has"
             return [Check("ownership", Level.FAILURE, told, None, "MAV_GCS_SYSID_HI (ArduPilot 4.7)", fix=fix)]
         first = control.system_ids[self._flight.plan.station_ids[0]]
-        after = before.alone(first) if way == "parameter" else gcs_ids.wanted(used, before)
+        after = before.alone(first) if way == HandoverWay.PARAMETER else gcs_ids.wanted(used, before)
         self.gcs_ids = self.gcs_ids or before
         done = yield from gcs_ids.apply(self._flight, self._parameters, values, before, after)
         if not done:
             fix = "look for another ground station, or a link that loses much, and try again"
             told = "the vehicle did not take the ids it is to hear"
             return [Check("ownership", Level.FAILURE, told, after.low, required, fix=fix)]
-        if way == "parameter":
+        if way == HandoverWay.PARAMETER:
             control.id_manager = GcsIdManager(self._flight, values, after)
             told = f"the vehicle hears station {after.low} and no other, and is told of each handover"
         else:

@@ -34,6 +34,7 @@ from gcs.plan import Plan
 from link.dialect import mavlink
 from link.microservices.command import Ticket
 from link.session.context import FlightContext
+from link.session.request import HandoverWay
 
 LINK_HEARD_S = 1.5
 """The vehicle must have been heard over the next station's link this lately."""
@@ -114,7 +115,7 @@ class Handover:
         self,
         flight: FlightContext,
         window: HandoverWindow,
-        way: str,
+        way: HandoverWay,
         attempt_s: float,
         proof_after_s: float = -math.inf,
     ) -> None:
@@ -136,7 +137,7 @@ class Handover:
         self._ticket: Ticket | None = None
         self._allow: Ticket | None = None
 
-    # -- words --------------------------------------------------------------------------------------------------------
+    # -- operator commands --------------------------------------------------------------------------------------------
 
     def accept(self) -> None:
         """The next station's operator stands by, or takes back a refusal."""
@@ -171,29 +172,28 @@ class Handover:
 
     def missing(self) -> str:
         """What the next station still lacks; empty when its link is proved and both sides agree."""
-        timeline, vehicle = self._timeline, self._vehicle
-        station = self.window.to_station
+        now_s, vehicle, station = self._timeline.now_s, self._vehicle, self.window.to_station
         if not self._accepted:
             return "operator's word"
-        if not vehicle.monitor.heard_within(timeline.now_s, station, LINK_HEARD_S):
+        if not vehicle.monitor.heard_within(now_s, station, LINK_HEARD_S):
             return "telemetry over its link"
-        proven = vehicle.monitor.proven_within(timeline.now_s, station, LINK_PROVEN_S)
-        if not proven or vehicle.monitor.links[station].proven_s <= self._proof_after_s:
-            return "an answer over its link"
+        proven = vehicle.monitor.proven_within(now_s, station, LINK_PROVEN_S)
         link = vehicle.monitor.links[station]
-        origin = link.origin
-        if origin is not None and vehicle.origin is not None and link.origin_s > vehicle.origin_s:
-            north, east = vehicle.profile.north_east_m(vehicle.origin, origin.lat_deg, origin.lon_deg)
-            if math.hypot(north, east, origin.alt_amsl_m - vehicle.origin.alt_amsl_m) > ORIGIN_TOLERANCE_M:
+        if not proven or link.proven_s <= self._proof_after_s:
+            return "an answer over its link"
+        theirs, ours = link.origin, vehicle.origin
+        if theirs is not None and ours is not None and link.origin_s > vehicle.origin_s:
+            north, east = vehicle.profile.north_east_m(ours, theirs.lat_deg, theirs.lon_deg)
+            if math.hypot(north, east, theirs.alt_amsl_m - ours.alt_amsl_m) > ORIGIN_TOLERANCE_M:
                 return "the same EKF origin"
         return ""
 
     # -- a tick -------------------------------------------------------------------------------------------------------
 
-    def step(self, time_s: float, *, at_once: str = "") -> None:
+    def step(self, time_s: float, *, at_once: str | None = None) -> None:
         """Move on, the flight being at ``time_s`` of the plan. ``at_once``: do not wait for the planned place (why)."""
-        window = self.window
-        if self.done or not (window.near(time_s) or at_once):
+        window, hurried = self.window, at_once is not None
+        if self.done or not (window.near(time_s) or hurried):
             return
         if self.state in (HandoverState.PLANNED, HandoverState.LATE, HandoverState.FAILED, HandoverState.TIMED_OUT):
             if self._timeline.now_s >= self._retry_s and not self.missing():
@@ -202,26 +202,26 @@ class Handover:
                 self._event(HandoverEvent.DUE, f"{window.to_station} lacks {self.missing()}")
         elif self.state is HandoverState.READY and (missing := self.missing()):
             self._event(HandoverEvent.UNPROVED, f"{window.to_station} lacks {missing}")
-        if self.state is HandoverState.READY and (window.due(time_s) or at_once) and window.covered_by_next(time_s):
+        if self.state is HandoverState.READY and (window.due(time_s) or hurried) and window.covered_by_next(time_s):
             self._ask_for_control(at_once)
         if self.state is HandoverState.REQUESTED:
             self._follow_up()
 
-    def _ask_for_control(self, reason: str) -> None:
+    def _ask_for_control(self, at_once: str | None) -> None:
         control = self._control
         self.attempts += 1
         self._requested_s = self._timeline.now_s
         self._moved_s = math.inf
         control.gate.accompany(self.window.to_station)
-        self._event(HandoverEvent.REQUEST, reason)
-        if self.way == "operator_control":
+        self._event(HandoverEvent.REQUEST, at_once or "")
+        if self.way == HandoverWay.OPERATOR_CONTROL:
             self._allow = control.start_command(
                 "allow takeover",
                 REQUEST_OPERATOR_CONTROL,
                 (1.0, 1.0, 10.0, float(control.system_ids[self.window.from_station])),
                 retry_s=0.2,
             )
-        elif control.id_manager is not None and not reason:
+        elif control.id_manager is not None and at_once is None:
             # Heard first, then in control; `_follow_up` moves it.
             if not control.id_manager.ranged:
                 control.id_manager.claimed = self.window.to_station
@@ -236,7 +236,7 @@ class Handover:
         control.grant(self.window.to_station, f"handover {self.window.index}")
         control.gate.accompany(self.window.from_station)
         self._moved_s = self._timeline.now_s
-        if self.way == "operator_control":
+        if self.way == HandoverWay.OPERATOR_CONTROL:
             own = float(control.system_ids[self.window.to_station])
             self._ticket = control.start_command(
                 "request control", REQUEST_OPERATOR_CONTROL, (1.0, 0.0, 10.0, own), retry_s=0.1, attempts=30
@@ -276,27 +276,23 @@ class Handover:
 
     def _evidence(self) -> str:
         """What shows that the vehicle obeys the new station; empty while nothing does."""
-        vehicle, control = self._vehicle, self._control
-        ticket = self._ticket
+        monitor, control, ticket = self._vehicle.monitor, self._control, self._ticket
         answered = ticket is not None and ticket.finished and ticket.result is not None
-        if self.way == "operator_control":
+        if self.way == HandoverWay.OPERATOR_CONTROL:
             if ticket is None or not ticket.accepted:
                 return ""
-            if (
-                vehicle.monitor.control_s <= -math.inf
-                or vehicle.monitor.control_main == control.system_ids[self.window.to_station]
-            ):
+            if monitor.control_s <= -math.inf or monitor.control_main == control.system_ids[self.window.to_station]:
                 return "control granted to it"
             return ""
         if answered and ticket is not None and ticket.result not in _REFUSALS:
             return "a command of it was answered"
-        if self.way == "parameter":
+        if self.way == HandoverWay.PARAMETER:
             # A vehicle that drops the new station in silence runs on along the old one's last setpoint, which may look
             # like the new one's for seconds: only an answer shows whom it hears.
             return ""
         grant = control.gate.in_force
-        if vehicle.monitor.target is not None and vehicle.monitor.target_s > self._moved_s and grant is not None:
-            held = control.echoes.held(vehicle.monitor.target)
+        if monitor.target is not None and monitor.target_s > self._moved_s and grant is not None:
+            held = control.echoes.held(monitor.target)
             if held and all(sent.grant == grant.number for sent in held):
                 return "its setpoint is held"
         return ""
@@ -306,7 +302,7 @@ class Handover:
         ticket = self._ticket
         if ticket is None or not ticket.finished or ticket.result is None:
             return False
-        if self.way == "operator_control":
+        if self.way == HandoverWay.OPERATOR_CONTROL:
             return not ticket.accepted
         # Any other answer addressed to the new station shows that it is heard and not turned away.
         return ticket.result in _REFUSALS

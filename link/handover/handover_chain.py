@@ -7,7 +7,7 @@ import math
 from gcs.flight import HandoverState, TransitionError
 from link.handover.handover import Handover, HandoverWindow, handover_windows
 from link.session.context import FlightContext
-from link.session.request import FlightRequest
+from link.session.request import FlightRequest, HandoverWay
 
 WINDOW_GUARD_S = 0.5
 """The flight stops this much (of the plan's time) before the end of a station's coverage."""
@@ -34,20 +34,19 @@ class HandoverChain:
         self.windows = handover_windows(flight.plan)
         self.leg = 0
         self.handover: Handover | None = None
-        self.loss_timeout_s = 1.0
         self._accepted: set[int] = set()
         self._refused: dict[int, str] = {}
         self._distrusted_s: dict[str, float] = {}
 
     @property
-    def way(self) -> str:
+    def way(self) -> HandoverWay:
         """How this vehicle is told of a handover; see `link.handover.handover`."""
-        vehicle = self._vehicle
-        if self._request.handover_way != "auto":
-            return self._request.handover_way
+        asked, vehicle = HandoverWay(self._request.handover_way), self._vehicle
+        if asked is not HandoverWay.AUTO:
+            return asked
         if math.isfinite(vehicle.monitor.control_s):
-            return "operator_control"
-        return "range" if vehicle.profile.name == "ardupilot" else "gate"
+            return HandoverWay.OPERATOR_CONTROL
+        return HandoverWay.RANGE if vehicle.profile.name == "ardupilot" else HandoverWay.GATE
 
     @property
     def moving(self) -> bool:
@@ -104,12 +103,12 @@ class HandoverChain:
         self.forget()
         self.windows = handover_windows(self._flight.plan)
         self.leg = leg
-        # Words for handovers to come were for those of the other plan.
+        # Commands for handovers to come were for those of the other plan.
         self._accepted = {index for index in self._accepted if index <= leg}
         self._refused.clear()
 
     def forget(self) -> None:
-        """Give up the handover under way: the flight lapsed."""
+        """Give up the handover under way: the C2 link is lost, or another plan is flown."""
         control = self._control
         self.handover = None
         control.gate.accompany(None)
@@ -142,7 +141,7 @@ class HandoverChain:
         """The handover over a window: the one at hand, or a new one."""
         if self.handover is not None and self.handover.window == window:
             return self.handover
-        attempt_s = attempt_time_s(self._request, self.loss_timeout_s)
+        attempt_s = attempt_time_s(self._request, self._vehicle.loss_timeout_s)
         distrusted_s = self._distrusted_s.get(window.to_station, -math.inf)
         self.handover = Handover(self._flight, window, self.way, attempt_s, distrusted_s)
         if window.index in self._accepted:

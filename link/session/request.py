@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from enum import StrEnum
 from typing import Any
 
 from gcs.errors import Fault, PlanError
@@ -13,8 +14,19 @@ from link.autopilot.registry import PROFILES
 from link.errors import EndpointUrlError, FlightRequestError
 from link.transport.url import parse_url
 
-HANDOVER_WAYS = ("auto", "gate", "range", "parameter", "operator_control")
-"""How a vehicle is told of a handover: see `link.handover.handover`."""
+
+class HandoverWay(StrEnum):
+    """How a vehicle is told of a handover: see `link.handover.handover`."""
+
+    AUTO = "auto"
+    """As the vehicle's autopilot and version allow."""
+    GATE = "gate"
+    RANGE = "range"
+    PARAMETER = "parameter"
+    OPERATOR_CONTROL = "operator_control"
+
+
+HANDOVER_WAYS = tuple(way.value for way in HandoverWay)
 SET_PARAMETERS = ("auto", "yes", "no")
 LAST_RESORTS = ("return", "land", "stay")
 MIN_START_REST_M_S = 0.01
@@ -174,8 +186,8 @@ class FlightRequest:
             for name, words in allowed.items()
             if getattr(self, name) not in words
         ]
-        if self.handover_way == "parameter" and self.autopilot == "px4":
-            allowed_ways = ", ".join(way for way in HANDOVER_WAYS if way != "parameter")
+        if self.handover_way == HandoverWay.PARAMETER and self.autopilot == "px4":
+            allowed_ways = ", ".join(way for way in HANDOVER_WAYS if way != HandoverWay.PARAMETER)
             what = "PX4 has no parameter that says whom it hears"
             problems.append(Fault("handover_way", what, "parameter", allowed_ways, "choose gate"))
         key = self.signing_key

@@ -41,6 +41,8 @@ MODULES: dict[str, tuple[str, ...]] = {
     "link/wire/memory_file.py": ("tests/link/wire/test_signing_edges.py", "tests/link/wire/test_signing.py"),
     "link/clock.py": ("tests/link/test_clock_edges.py", "tests/link/test_clock.py"),
     "link/streamer/process.py": ("tests/link/streamer/test_loop.py",),
+    "link/streamer/recorder.py": ("tests/link/streamer/test_loop.py",),
+    "link/streamer/scheduling.py": ("tests/link/streamer/test_loop.py",),
 }
 """What is mutated, and the fast tests that must notice."""
 NOT_RUN = ("runTest", "killed_at_any_instant", "two_processes")

@@ -19,7 +19,7 @@ SPEED_M_S = 15.0
 
 
 class Sky:
-    """A vehicle that obeys whoever sent last (PX4), by the millisecond. We fly it north, a foreign ground station wants it east."""
+    """A vehicle that obeys whoever sent last (PX4), by the millisecond. We fly north, somebody else wants it east."""
 
     def __init__(self, state: FlightState = FlightState.CRUISE) -> None:
         self.alarms: list[tuple[float, str]] = []
