@@ -32,8 +32,6 @@ from link.telemetry.link_path import Carrier
 from link.transport.url import STREAM_SCHEMES, parse_url
 from link.wire.codec import StationCodec
 
-__all__ = ["FlightCore", "FlightRequest"]
-
 OnFrame = Callable[[float, bytes], None]
 
 

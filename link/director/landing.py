@@ -34,8 +34,7 @@ class Landing:
     @property
     def down(self) -> bool:
         """Whether the vehicle has disarmed since."""
-        heartbeat = self._vehicle.monitor.heartbeat
-        return heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > self._since_s
+        return self._vehicle.disarmed_since(self._since_s)
 
     def ask(self) -> None:
         """Ask for the mode, now and then, while the vehicle does not show it."""

@@ -1,10 +1,10 @@
-"""After a lapse: silence, and the way back on a person's word alone.
+"""After the C2 link was lost: silence, and re-entry on an operator's command alone.
 
 The stream may have been missed for longer than the autopilot tolerates, or the vehicle left the mode or restarted.
 Sending on as if nothing had happened would be a hazard: PX4 takes a stream that resumes as leave to go back to OFFBOARD
 unasked, and ArduPilot would race after a reference that has moved on. So nothing is sent but what stops the vehicle:
-where PX4 still shows OFFBOARD it is told to HOLD. Nobody's word within the limit: the autopilot's own return, or
-landing, as asked for.
+where PX4 still shows OFFBOARD it is told to HOLD. No command within the limit: the autopilot's failsafe return,
+or landing, as asked for.
 
 Re-entry: a link that is proved, a station whose range holds the vehicle, HOLD first (PX4), a second of setpoints at
 the place where the vehicle is, the mode, its HEARTBEAT; then a straight transit to the nearest point of the path in
@@ -28,13 +28,12 @@ BETTER_LINK_S = 1.0
 PROVEN_S = 1.0
 SEARCH_S = 120.0
 """How far along the plan, both ways, the nearest point of the path is looked for."""
-
-
 NEARER_M = 1.0
+"""Another leg than the present one is joined only where it is so much nearer."""
 
 
 class LostC2Link:
-    """The state LAPSED. `tick` gives the time of the plan to join at once re-entry has succeeded."""
+    """The flight while it is `FlightState.LAPSED`. `tick` gives the time of the plan to join, once it is back in."""
 
     def __init__(self, flight: FlightContext, chain: HandoverChain) -> None:
         self._flight = flight
@@ -53,25 +52,24 @@ class LostC2Link:
         self._entry: Steps[float] | None = None
 
     def begin(self, plan_s: float, *, pin: bool) -> None:
-        """The flight lapsed at ``plan_s`` of the plan. ``pin``: by our silence, so PX4 would take a stream up again."""
+        """The link was lost at ``plan_s`` of the plan. ``pin``: by our silence, so PX4 would take a stream up again."""
         self._plan_s, self._pin, self._since_s = plan_s, pin, self._timeline.now_s
         self._asked_s, self._resort, self._entry, self.ended = -math.inf, False, None, None
         self._told = False
 
     def resume(self) -> None:
-        """A person's word: begin re-entry."""
+        """The operator's command: begin re-entry."""
         self._entry = self._enter()
 
     def last_resort(self) -> None:
-        """Hand the vehicle to its own return, or landing, as the request says."""
+        """Hand the vehicle to its failsafe return, or landing, as the request says."""
         self._resort, self._entry = True, None
         self._asked_s = -math.inf
 
     def tick(self) -> float | None:
         """One tick; the time of the plan to join, once back in."""
         timeline, vehicle = self._timeline, self._vehicle
-        heartbeat = vehicle.monitor.heartbeat
-        if heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > self._since_s:
+        if vehicle.disarmed_since(self._since_s):
             ended = FlightState.CONTINGENCY if vehicle.on_ground else FlightState.LOST
             self.ended = (ended, "the vehicle disarmed by itself")
             return None
@@ -192,4 +190,4 @@ class LostC2Link:
 
 
 class _NoWayBack(Exception):  # noqa: N818
-    """Re-entry is not possible now; the flight stays lapsed."""
+    """Re-entry is not possible now; we stay silent."""

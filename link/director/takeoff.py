@@ -23,7 +23,7 @@ SETTLED_M_S = 0.7
 
 
 class TakeOff:
-    """The climb. ``restore`` gives back what was lent, where the vehicle stays on the ground after all."""
+    """The climb. ``restore`` gives back what was borrowed, where the vehicle stays on the ground after all."""
 
     def __init__(self, flight: FlightContext, restore: Callable[[], Steps[None]]) -> None:
         self._flight = flight

@@ -12,7 +12,7 @@ parameter
 
 Order matters, because every write must leave the writer inside: HI first, then SYSID (the other way locks everybody out
 when the range grows downwards), enforcement last; back in the opposite order. A sender with the vehicle's own id is
-always heard: it is the way out of a lock-out, and of not knowing whom the vehicle hears.
+always heard: it gets us out of a lock-out, and of not knowing whom the vehicle hears.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def reread(
 
 
 class GcsIdManager:
-    """In flight, with ownership by parameter: the vehicle hears the station in control, and in a handover both.
+    """In flight, by parameter: the vehicle hears the station in control, and in a handover both.
 
     Every unanswered write leaves two states the vehicle may be in, so a set of them is kept; any PARAM_VALUE of the
     vehicle, over whichever link, narrows it down. A station writes under its own id while all of them hear it; else,

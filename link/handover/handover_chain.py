@@ -116,7 +116,7 @@ class HandoverChain:
             control.id_manager.claimed = None
 
     def accept(self, index: int) -> None:
-        """An operator's word for handover ``index``."""
+        """An operator stands by for handover ``index``."""
         self._check(index)
         self._refused.pop(index, None)
         self._accepted.add(index)

@@ -43,8 +43,8 @@ class FlightRequest:
     links too, where they have system ids: a new plan in flight may use them then. Times are seconds of the flight's
     clock.
 
-    - ``auto_launch``: go as soon as the preflight has passed; otherwise wait for the word.
-    - ``authorised_until_s``: T+ of the plan up to which the flight may go on without a further word (None: all).
+    - ``auto_launch``: go as soon as the preflight has passed; otherwise wait for the launch command.
+    - ``authorised_until_s``: T+ of the plan up to which the flight may go on without a further command (None: all).
     - ``confirmation_time_s``: how long a handover may wait for the vehicle's evidence. A plan whose overlaps are
       shorter than this and ``overlap_guard_s`` of the way is refused.
     - ``lead_limit_s``: by how much of the link's latency, at most, setpoints are asked for ahead; 0: not at all.
@@ -54,11 +54,11 @@ class FlightRequest:
       alone, ``"yes"``, or ``"no"``: then the flight is refused with what to set.
     - ``rally``: upload the mission's safe points as rally points (what the vehicle held comes back after the flight);
       ``lay_geofence``: lay a geofence around the plan for the flight (``fence`` in a document).
-    - ``operator_words``: each handover needs the next station's operator's word.
+    - ``operator_words``: each handover needs the command of the receiving station's operator.
     - ``wait_for_station_s``: how long to stand before a station that is not ready until the contingency is flown.
     - ``hold_limit_s``: how long a hold nobody asked for lasts until the contingency is flown.
-    - ``last_resort``: the autopilot's own mode commanded when we stay silent after a lapse and nobody says a word.
-    - ``lost_after_s``: silence of the vehicle after a lapse until the flight is given up as lost.
+    - ``last_resort``: the autopilot's own mode, set when nobody commands anything after the C2 link was lost.
+    - ``lost_after_s``: silence of the vehicle after the C2 link was lost until the flight is given up as lost.
     - ``rescue``: take a vehicle that is locked to other stations' ids (ArduPilot) by using its own id.
     - ``signing_key``: ``file:PATH`` or ``env:NAME``; ``signing_state`` the folder its stamps are kept in.
     """
