@@ -3,18 +3,23 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DIALECT := link/dialect/skyrelay.py
 # pytest-xdist workers
 JOBS ?= 2
 
 .PHONY: setup run test check quick soak format lock clean
 
-setup: $(STAMP)
+setup: $(STAMP) $(DIALECT)
 
-$(STAMP): requirements.lock pyproject.toml
+$(STAMP): requirements.lock pyproject.toml setup.py
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $(STAMP)
+
+# Generated, not committed. The editable install above makes it too; this is for a changed overlay or pymavlink.
+$(DIALECT): link/dialect/skyrelay.xml link/dialect/regenerate.py requirements.lock | $(STAMP)
+	$(BIN)/python link/dialect/regenerate.py
 
 run: setup
 	@$(BIN)/skyrelay demo --serve || [ $$? -eq 130 ]
@@ -43,4 +48,4 @@ lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --all-extras --no-header --quiet pyproject.toml -o requirements.lock
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(DIALECT) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,1 +1,4 @@
-"""What people and programs touch: REST and the command line."""
+"""What people and programs touch: REST, the web page and the command line. Thin: it translates, wires and delegates.
+
+Rooms, each importing only those before it: `api.service` and `api.processes`; `api.rest` and `api.bench`; `api.cli`.
+"""

@@ -1,7 +1,7 @@
 """Reading documents at the door: every fault collected, each with its path, none of them raised half-way.
 
-A `Reader` walks one JSON object. A field that is missing or wrong leaves a `gcs.errors.Fault` in the shared list and
-gives a harmless stand-in (NaN, empty text), so that reading goes on and the caller raises once at the end.
+A `Reader` walks one JSON object. A field that is missing or wrong leaves a `gcs.errors.InputFault` in the shared list
+and gives a harmless stand-in (NaN, empty text), so that reading goes on and the caller raises once at the end.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ import re
 import unicodedata
 from collections.abc import Collection, Mapping, Sequence, Set
 
-from gcs.errors import Fault, MissionError
+from gcs.errors import InputFault, MissionError
 
 MAX_DOCUMENT_BYTES = 50_000_000
 MAX_FAULTS = 200
 _IDENTIFIER = re.compile(r"[^\W_][\w .\-:+#()'&]*")
 
 
-class FaultList(list[Fault]):
+class FaultList(list[InputFault]):
     """Faults found so far; stops growing at `MAX_FAULTS`, so that garbage cannot make an endless answer."""
 
     def add(self, where: str, what: str, value: object = None, allowed: str = "", fix: str = "") -> None:
         """Note a fault."""
         if len(self) < MAX_FAULTS:
-            self.append(Fault(where, what, value, allowed, fix))
+            self.append(InputFault(where, what, value, allowed, fix))
 
 
 def type_name(value: object) -> str:
@@ -265,37 +265,39 @@ def parse_json(data: bytes | str, *, max_bytes: int = MAX_DOCUMENT_BYTES) -> obj
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
     if len(raw) > max_bytes:
         fix = "leave out what the mission does not need"
-        raise MissionError([Fault("mission", f"has {len(raw)} bytes", None, f"at most {max_bytes} bytes", fix)])
+        raise MissionError([InputFault("mission", f"has {len(raw)} bytes", None, f"at most {max_bytes} bytes", fix)])
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         what = f"is not valid UTF-8 at byte {error.start}"
-        raise MissionError([Fault("mission", what, None, "JSON in UTF-8", "save it as UTF-8")]) from None
+        raise MissionError([InputFault("mission", what, None, "JSON in UTF-8", "save it as UTF-8")]) from None
     if not text.strip():
-        raise MissionError([Fault("mission", "is empty", None, "a JSON object", "write the document into it")])
+        raise MissionError([InputFault("mission", "is empty", None, "a JSON object", "write the document into it")])
     try:
         return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
         what = f"is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}"
-        raise MissionError([Fault("mission", what, None, "a JSON object", "correct the text there")]) from None
+        raise MissionError([InputFault("mission", what, None, "a JSON object", "correct the text there")]) from None
     except RecursionError:
         fix = "remove the brackets that hold nothing"
-        raise MissionError([Fault("mission", "is nested too deep", None, "objects as documented", fix)]) from None
+        raise MissionError([InputFault("mission", "is nested too deep", None, "objects as documented", fix)]) from None
     except _BadJsonError as error:
         raise MissionError([error.fault]) from None
     except ValueError:  # an integer of thousands of digits
         what, allowed = "holds a whole number of thousands of digits", "numbers of up to 4300 digits"
-        raise MissionError([Fault("mission", what, None, allowed, "write a number that is meant")]) from None
+        raise MissionError([InputFault("mission", what, None, allowed, "write a number that is meant")]) from None
 
 
 class _BadJsonError(Exception):
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: InputFault) -> None:
         super().__init__(str(fault))
         self.fault = fault
 
 
 def _no_constant(name: str) -> object:
-    raise _BadJsonError(Fault("mission", f"holds {name}, which is not JSON", name, "finite numbers", "give a number"))
+    raise _BadJsonError(
+        InputFault("mission", f"holds {name}, which is not JSON", name, "finite numbers", "give a number")
+    )
 
 
 def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -303,6 +305,6 @@ def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     for key, value in pairs:
         if key in result:
             shown = key if printable(key) and len(key) <= 64 else "?"
-            raise _BadJsonError(Fault(shown, "stands twice in one object", None, "each field once", "remove one"))
+            raise _BadJsonError(InputFault(shown, "stands twice in one object", None, "each field once", "remove one"))
         result[key] = value
     return result

@@ -29,7 +29,7 @@ class GcsError(Exception):
 
 
 @dataclass(frozen=True)
-class Fault:
+class InputFault:
     """One thing wrong with a document.
 
     ``where`` is a path such as ``stations[3].range_m``; ``what`` says what is wrong, ``value`` what stands there (None
@@ -78,7 +78,7 @@ def show(value: object, limit: int = 80) -> str:
 class MissionError(GcsError, ValueError):
     """A mission document is malformed; ``.problems`` lists every fault found."""
 
-    def __init__(self, problems: Sequence[Fault]) -> None:
+    def __init__(self, problems: Sequence[InputFault]) -> None:
         self.problems = tuple(problems)
         shown = [str(fault) for fault in self.problems[:MAX_SHOWN_FAULTS]]
         if len(self.problems) > MAX_SHOWN_FAULTS:

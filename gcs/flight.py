@@ -1,4 +1,4 @@
-"""A flight and its handovers as data: states, what may follow what, operators' words, events, the journal.
+"""A flight and its handovers as data: states, what may follow what, operator commands, events, the journal.
 
 Pure: no clock, no wire. `link.director.core` drives these on the wire, the store keeps their events.
 
@@ -11,7 +11,7 @@ Pure: no clock, no wire. `link.director.core` drives these on the wire, the stor
                                                        lapsed (silent) <-------------  holding -> returning -> landing
     every state -> one of the ends: completed, refused, contingency, lost
 
-A handover, seen from the station that takes over::
+A handover, seen from the receiving station::
 
     planned <-> ready -> requested -> confirmed -> released
        |          ^         |
@@ -46,7 +46,7 @@ class FlightState(StrEnum):
     PREFLIGHT = "preflight"
     """Parameters, EKF origin, position and plan are judged. Nothing is armed."""
     READY = "ready"
-    """Preflight passed; a person's (or the command line's) word launches."""
+    """Preflight passed; an operator command, or the command line, launches."""
     ARMING = "arming"
     TAKEOFF = "takeoff"
     TRANSIT = "transit"
@@ -58,7 +58,7 @@ class FlightState(StrEnum):
     RETURNING = "returning"
     """Back along the path flown, which is covered."""
     LAPSED = "lapsed"
-    """We are silent and the autopilot is on its own; only a person's word brings us back."""
+    """Lost C2 link: we are silent and the autopilot is on its own; only an operator command brings us back."""
     ARRIVED = "arrived"
     LANDING = "landing"
     COMPLETED = "completed"
@@ -126,21 +126,21 @@ class HandoverState(StrEnum):
 
     PLANNED = "planned"
     READY = "ready"
-    """The next station's link is proved, and origin and plan agree on both sides."""
+    """The receiving station's C2 link is proved, and origin and plan agree on both sides."""
     LATE = "late"
-    """The planned time has come and the next station is not ready; the present one stays."""
+    """The planned time has come and the receiving station is not ready; the transferring one stays in control."""
     REQUESTED = "requested"
     """Control is being moved; still one station at a time."""
     CONFIRMED = "confirmed"
-    """The vehicle gave evidence that it obeys the new station."""
+    """The vehicle gave evidence that it obeys the receiving station."""
     RELEASED = "released"
-    """The old station is silent. Done."""
+    """The transferring station is silent. Done."""
     REFUSED = "refused"
     """An operator said no."""
     FAILED = "failed"
     """The vehicle said no."""
     TIMED_OUT = "timed_out"
-    """No evidence in time; control is back with the old station."""
+    """No evidence in time; control is back with the transferring station."""
 
 
 class HandoverEvent(StrEnum):
@@ -192,8 +192,8 @@ def handover_step(state: HandoverState, event: HandoverEvent) -> HandoverState:
         raise TransitionError(f"{event} cannot happen to a handover that is {state}; allowed is: {allowed}") from None
 
 
-class Word(StrEnum):
-    """What a person may say to a flight."""
+class OperatorCommand(StrEnum):
+    """What a remote pilot station may command a flight to do."""
 
     LAUNCH = "launch"
     """Arm and go (after a passed preflight)."""
@@ -204,7 +204,7 @@ class Word(StrEnum):
     LAND = "land"
     """Land where the vehicle is."""
     READY = "ready"
-    """The next station's operator stands by (where the flight asks for operators' words)."""
+    """The receiving station stands by (where the flight asks for that)."""
     ACCEPT = "accept"
     """As `READY`, and takes back a refusal."""
     REFUSE = "refuse"
@@ -215,27 +215,27 @@ class Word(StrEnum):
     """The flight may go on up to a given T+ of the plan, parent or no parent."""
 
 
-WORDS_ALLOWED: Mapping[Word, frozenset[FlightState]] = MappingProxyType(
+COMMANDS_ALLOWED: Mapping[OperatorCommand, frozenset[FlightState]] = MappingProxyType(
     {
-        Word.LAUNCH: frozenset({_S.READY}),
-        Word.HOLD: frozenset({_S.TRANSIT, _S.CRUISE, _S.RETURNING, _S.HOLDING}),
-        Word.RESUME: frozenset({_S.HOLDING, _S.LAPSED}),
-        Word.ABORT: frozenset(_S) - _ENDS,
-        Word.LAND: _AIRBORNE,
-        Word.READY: frozenset(_S) - _ENDS,
-        Word.ACCEPT: frozenset(_S) - _ENDS,
-        Word.REFUSE: frozenset(_S) - _ENDS,
-        Word.REPLAN: frozenset({_S.CRUISE, _S.HOLDING}),
-        Word.AUTHORISE: frozenset(_S) - _ENDS,
+        OperatorCommand.LAUNCH: frozenset({_S.READY}),
+        OperatorCommand.HOLD: frozenset({_S.TRANSIT, _S.CRUISE, _S.RETURNING, _S.HOLDING}),
+        OperatorCommand.RESUME: frozenset({_S.HOLDING, _S.LAPSED}),
+        OperatorCommand.ABORT: frozenset(_S) - _ENDS,
+        OperatorCommand.LAND: _AIRBORNE,
+        OperatorCommand.READY: frozenset(_S) - _ENDS,
+        OperatorCommand.ACCEPT: frozenset(_S) - _ENDS,
+        OperatorCommand.REFUSE: frozenset(_S) - _ENDS,
+        OperatorCommand.REPLAN: frozenset({_S.CRUISE, _S.HOLDING}),
+        OperatorCommand.AUTHORISE: frozenset(_S) - _ENDS,
     }
 )
 
 
-def check_word(word: Word, state: FlightState) -> None:
-    """Raises `TransitionError` when ``word`` means nothing to a flight that is ``state``."""
-    if state not in WORDS_ALLOWED[word]:
-        allowed = ", ".join(sorted(WORDS_ALLOWED[word]))
-        raise TransitionError(f"'{word}' needs a flight that is {allowed}; this one is {state}")
+def check_operator_command(command: OperatorCommand, state: FlightState) -> None:
+    """Raises `TransitionError` when ``command`` means nothing to a flight that is ``state``."""
+    if state not in COMMANDS_ALLOWED[command]:
+        allowed = ", ".join(sorted(COMMANDS_ALLOWED[command]))
+        raise TransitionError(f"'{command}' needs a flight that is {allowed}; this one is {state}")
 
 
 class EventKind(StrEnum):
@@ -259,8 +259,8 @@ class EventKind(StrEnum):
     """Another plan is flown from now on: plan_sha256, before, plan_s, mission_time_s, handovers_done."""
     LINK = "link"
     """Another of a station's ways to the vehicle sends: station, url, before."""
-    WORD = "word"
-    """A person spoke: word, by, handover."""
+    OPERATOR_COMMAND = "word"
+    """An operator command was given: word, by, handover."""
     ALARM = "alarm"
     """Something a person must know at once: what, and the values."""
     PARAMETER = "parameter"

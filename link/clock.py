@@ -13,7 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
-# Counts through a suspended machine (Linux), unlike CLOCK_MONOTONIC: after a suspend the stream has lapsed, and the
+from gcs.timestamps import utc_text
+
+# Counts through a suspended machine (Linux), unlike CLOCK_MONOTONIC: after a suspend the C2 link is lost, and the
 # flight must notice.
 _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", None)
 
@@ -113,7 +115,7 @@ class UtcScale:
     def text(self, now_s: float) -> str:
         """RFC 3339 in UTC, to the millisecond."""
         instant = datetime.fromtimestamp(0, UTC) + timedelta(seconds=self.unix_s(now_s))
-        return instant.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        return utc_text(instant, "milliseconds")
 
 
 @dataclass(frozen=True)
@@ -161,8 +163,9 @@ LATENESS_EDGES_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.
 
 
 @dataclass
-class Lateness:
-    """Histogram of how late ticks were served, in real milliseconds; the last bin is everything above."""
+class TickLateness:
+    """Histogram of how late ticks were served after their deadlines, in real milliseconds; the last bin is everything
+    above."""
 
     counts: list[int] = field(default_factory=lambda: [0] * (len(LATENESS_EDGES_MS) + 1))
     worst_ms: float = 0.0

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gcs.errors import Fault
+from gcs.errors import InputFault
 
 
 class LinkError(Exception):
@@ -86,9 +86,9 @@ class GateClosed(LinkError):  # noqa: N818 - it names what happened
 
 
 class FlightRequestError(LinkError, ValueError):
-    """A flight that must not start as asked; ``.problems`` lists every reason, each a `gcs.errors.Fault`."""
+    """A flight that must not start as asked; ``.problems`` lists every reason, each a `gcs.errors.InputFault`."""
 
-    def __init__(self, problems: Sequence[Fault]) -> None:
+    def __init__(self, problems: Sequence[InputFault]) -> None:
         self.problems = tuple(problems)
         super().__init__("\n  ".join(["the flight cannot start as asked:", *(str(fault) for fault in problems)]))
 

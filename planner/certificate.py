@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Indices
+from planner.coverage.elevation_mask import ElevationMask
 from planner.coverage.window import Stations, held_s, leaves_s
 from planner.errors import ProblemError
 from planner.problem import Problem
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 CONTINUITY_TOLERANCE = 1e-9
 
@@ -86,8 +85,11 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         worst["duration_s"] = trajectory.duration_s - limits.max_duration_s
     if problem.max_handovers is not None:
         worst["handovers"] = float(len(trajectory.sequence) - 1 - problem.max_handovers)
-    if problem.min_elevation_deg is not None:
-        worst["elevation_m"] = _elevation_excess_m(problem, trajectory)
+    mask = ElevationMask.of(problem)
+    if mask is not None:
+        # How far a control point lies below its station's elevation cone, measured vertically.
+        offset = points - problem.station_positions_m[stations][:, None, :]
+        worst["elevation_m"] = float(mask.at(stations[:, None]).below_m(offset).max())
     return Certificate(worst)
 
 
@@ -140,28 +142,13 @@ def _overlap_excess_s(problem: Problem, trajectory: Trajectory) -> float:
     return missing_s
 
 
-def _stations(problem: Problem, which: NDArray[np.int64]) -> Stations:
-    angles = problem.min_elevation_deg
+def _stations(problem: Problem, which: Indices) -> Stations:
+    mask = ElevationMask.of(problem)
     return Stations(
-        problem.station_positions_m[which], problem.ranges_m[which], None if angles is None else angles[which]
+        problem.station_positions_m[which], problem.ranges_m[which], None if mask is None else mask.at(which)
     )
 
 
 def _tenure_excess_s(problem: Problem, trajectory: Trajectory) -> float:
     legs = np.bincount(trajectory.leg_index, weights=trajectory.durations_s)
     return float(problem.min_tenure_s - legs.min()) if len(legs) > 1 else 0.0
-
-
-def _elevation_excess_m(problem: Problem, trajectory: Trajectory) -> float:
-    """How far a control point lies below its station's elevation cone, measured vertically."""
-    return float(_below_cone_m(problem, trajectory.control_points_m, trajectory.station_index[:, None]).max())
-
-
-def _below_cone_m(problem: Problem, points_m: Array, station: NDArray[np.int64]) -> Array:
-    """Metres each of ``points_m`` ``(..., 3)`` is below the cone of its ``station`` ``(...)``; -inf without one."""
-    assert problem.min_elevation_deg is not None
-    angle = problem.min_elevation_deg[station]
-    offset = points_m - problem.station_positions_m[station]
-    slope = np.tan(np.radians(np.maximum(angle, 0.0)))
-    below = slope * np.linalg.norm(offset[..., :2], axis=-1) - offset[..., 2]
-    return np.asarray(np.where(angle < 0.0, -np.inf, below))

@@ -39,7 +39,7 @@ def slowed_to_save(problem: Problem, trajectory: Trajectory, energy_weight: floa
     Slower by s, the integral of the acceleration divides by s^3, that of drag by s^2: s + w (A / s^3 + D / s^2) is
     convex. Only from a start at rest, and not beyond the endurance.
     """
-    if not energy_weight or problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any():
+    if not energy_weight or not problem.starts_at_rest:
         return trajectory
     time = trajectory.duration_s
     accel, drag = (energy_weight * part / time for part in energy_s(problem, trajectory))

@@ -3,7 +3,8 @@
     ranges and limits ──► lower bound ──► sequences ──► joint problem on each ──► the fastest certified
          │ explained when infeasible                        │ alternating minimisation where that fails
 
-A problem whose ranges chain together always gets a plan from rest: a vehicle may stop and wait in every lens.
+This is the one place of the product that calls the seed paper's method: as the fall-back, and where it is asked for.
+A problem whose ranges chain together always gets a plan from rest: a vehicle may stop and wait in every overlap.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from planner.errors import InfeasibleError, SolverError
 from planner.infeasibility.explanation import explain, no_way_from_moving_start, too_long
 from planner.joint.sequence_planner import Attempt, Effort, plan_joint
 from planner.paper.alternating import plan_paper
-from planner.problem import Problem, priced
+from planner.problem import Problem
 from planner.routing.bound import LowerBound, lower_bound
 from planner.routing.portal_graph import Route
 from planner.routing.station_sequence import candidate_routes, geodesic_route
@@ -91,7 +92,7 @@ class Planner:
             raise ValueError(f"energy_weight must be finite and not negative, not {energy_weight}")
         started = self._clock()
         bound = lower_bound(problem)
-        route = None if priced(problem) else geodesic_route(problem, bound)
+        route = None if problem.handovers_cost_time else geodesic_route(problem, bound)
         infeasibility = explain(problem, bound, chained=route is not None)
         if infeasibility is not None:
             raise InfeasibleError(infeasibility)
@@ -133,12 +134,12 @@ class _Search:
 
     def run(self) -> Solution:
         """The cheapest plan of all sequences, from the first method that has one."""
-        sequences, best = self._priced() if priced(self.problem) else self._free()
+        sequences, best = self._priced() if self.problem.handovers_cost_time else self._free()
         if best is None or not best.converged:
             tried = sequences if best is None else [best.sequence]
             best = _cheapest([best, *(self._alternating(sequence) for sequence in tried)])
         if best is None:
-            if self.problem.start_velocity_m_s.any() or self.problem.start_acceleration_m_s2.any():
+            if not self.problem.starts_at_rest:
                 raise InfeasibleError(no_way_from_moving_start(self.problem))
             raise SolverError(f"no method found a plan along any of {len(sequences)} sequences")
         notes: tuple[str, ...] = ()

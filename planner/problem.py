@@ -1,15 +1,19 @@
-"""What is to be planned: stations, ends, limits, all in one plane with altitude as the third axis."""
+"""What is to be planned: stations, ends, limits, all in one plane with altitude as the third axis.
+
+Whoever makes a `Problem` has laid the earth out flat and taken margins off; here everything is exact.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.errors import ProblemError
 
-Array = NDArray[np.float64]
+# What stands in `Problem.min_elevation_deg` for a station without that limit (see `planner.coverage.elevation_mask`).
+UNMASKED_DEG = -90.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Problem:
     control where there is more than one. All three zero and no optional limit: the paper's (P1).
 
     ``min_elevation_deg`` ``(M,)`` or None: lowest elevation angle at which a station hears the vehicle, from 0 to
-    below 90; -90 for a station without that limit (angles between would make the range bulge inwards).
+    below 90; `UNMASKED_DEG` for a station without that limit (angles between would make the range bulge inwards).
     ``start_velocity_m_s``, ``start_acceleration_m_s2`` ``(3,)``: state at T+0, at rest unless replanning.
 
     Raises `ProblemError` for shapes that do not fit and numbers that are not finite.
@@ -110,18 +114,28 @@ class Problem:
             raise ProblemError(f"bound_speed_factor must be at least 1, not {self.bound_speed_factor}")
         if self.min_elevation_deg is not None:
             angle = self.min_elevation_deg
-            if not ((angle == -90.0) | ((angle >= 0.0) & (angle < 90.0))).all():
-                raise ProblemError("min_elevation_deg must be from 0 to below 90, or -90 for no limit")
+            if not ((angle == UNMASKED_DEG) | ((angle >= 0.0) & (angle < 90.0))).all():
+                raise ProblemError(f"min_elevation_deg must be from 0 to below 90, or {UNMASKED_DEG:.0f} for no limit")
 
     @property
     def station_count(self) -> int:
         """Number of stations ``M``."""
         return len(self.ranges_m)
 
-    def covers(self, position_m: Array, *, slack_m: float = 0.0) -> NDArray[np.int64]:
+    def covers(self, position_m: Array, *, slack_m: float = 0.0) -> Indices:
         """Indices of the stations whose ball holds ``position_m`` ``(3,)``, given ``slack_m`` of extra range."""
         distance = np.linalg.norm(self.station_positions_m - position_m, axis=1)
         return np.flatnonzero(distance <= self.ranges_m + slack_m)
+
+    @property
+    def handovers_cost_time(self) -> bool:
+        """Whether a handover takes time, which sequences then differ by: a least overlap or a least tenure is asked."""
+        return self.min_overlap_s > 0.0 or self.min_tenure_s > 0.0
+
+    @property
+    def starts_at_rest(self) -> bool:
+        """Whether velocity and acceleration at T+0 are zero: then any flight may also be flown slower."""
+        return not (self.start_velocity_m_s.any() or self.start_acceleration_m_s2.any())
 
     def ends_in_band(self) -> bool:
         """Whether start and destination lie inside the altitude band."""
@@ -134,8 +148,3 @@ class Problem:
         The erratum to the paper's Proposition 1: clamp(h, z_min, z_max), which is z_min for antennas below the band.
         """
         return np.clip(self.station_positions_m[:, 2], self.limits.min_alt_m, self.limits.max_alt_m)
-
-
-def priced(problem: Problem) -> bool:
-    """True when handovers cost time."""
-    return problem.min_overlap_s > 0.0 or problem.min_tenure_s > 0.0

@@ -1,12 +1,16 @@
-"""How fast a line can be flown from rest to rest: top speeds, ramps, the least time."""
+"""How fast a line can be flown: the least time from rest to rest, and a profile of speeds along a polyline.
+
+The limits of speed and acceleration, and of jerk and airspeed where given, along a path whose shape does not matter:
+what a lower bound, a first guess and a price per leg have in common.
+"""
 
 from __future__ import annotations
 
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.problem import Limits
 
 
@@ -38,6 +42,20 @@ def fastest_time_s(
     return ends(low)[0]
 
 
+def speed_profile(speed: Array, length: Array, accel: float) -> Array:
+    """The largest speeds ``(n + 1,)`` at the ends of the parts of a path that ``accel`` can follow; in any unit.
+
+    ``length`` ``(n,)`` of the parts; ``speed`` ``(n + 1,)`` is what each end allows by itself. The first one is given
+    and stays, even where it is too fast to brake from.
+    """
+    lowered = np.array(speed, dtype=float)
+    for joint in range(1, len(lowered)):
+        lowered[joint] = min(lowered[joint], np.sqrt(lowered[joint - 1] ** 2 + 2.0 * accel * length[joint - 1]))
+    for joint in range(len(length) - 1, 0, -1):
+        lowered[joint] = min(lowered[joint], np.sqrt(lowered[joint + 1] ** 2 + 2.0 * accel * length[joint]))
+    return lowered
+
+
 def _ramp(limits: Limits, speed: float, accel: float, peak: float) -> tuple[float, float]:
     """Time and distance from ``speed`` to ``peak`` as fast as acceleration and jerk allow (``peak`` >= ``speed``)."""
     time = distance = 0.0
@@ -60,16 +78,3 @@ def _top_speed_m_s(limits: Limits) -> float:
     if limits.max_airspeed_m_s is None:
         return limits.max_speed_m_s
     return min(limits.max_speed_m_s, limits.max_airspeed_m_s + float(np.hypot(*limits.wind_m_s)))
-
-
-Array = NDArray[np.float64]
-
-
-def speed_profile(speed: Array, length: Array, accel: float) -> Array:
-    """Speeds ``(n + 1,)`` at the ends of ``length`` ``(n,)``, lowered to what ``accel`` allows; the first one stays."""
-    lowered = np.array(speed, dtype=float)
-    for joint in range(1, len(lowered)):
-        lowered[joint] = min(lowered[joint], np.sqrt(lowered[joint - 1] ** 2 + 2.0 * accel * length[joint - 1]))
-    for joint in range(len(length) - 1, 0, -1):
-        lowered[joint] = min(lowered[joint], np.sqrt(lowered[joint + 1] ** 2 + 2.0 * accel * length[joint]))
-    return lowered

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import bezier
+from planner.arrays import Array, Indices
 from planner.errors import ProblemError
 
-Array = NDArray[np.float64]
+# Degree of the pieces that this planner makes, as in the paper: position, velocity and acceleration at both ends fix a
+# piece. `Trajectory` itself takes any degree.
 DEGREE = 5
 
 
@@ -29,7 +30,7 @@ class Trajectory:
 
     control_points_m: Array
     durations_s: Array
-    station_index: NDArray[np.int64]
+    station_index: Indices
 
     def __post_init__(self) -> None:
         points = np.array(self.control_points_m, dtype=float)
@@ -66,7 +67,7 @@ class Trajectory:
         return float(self.knots_s[-1])
 
     @cached_property
-    def leg_index(self) -> NDArray[np.int64]:
+    def leg_index(self) -> Indices:
         """``(S,)``: 0 for the first station's segments, 1 for the next one's, and so on."""
         changes = np.diff(self.station_index) != 0
         return np.concatenate([[0], np.cumsum(changes)]).astype(np.int64)
@@ -83,7 +84,7 @@ class Trajectory:
         first = np.concatenate([[True], np.diff(self.station_index) != 0])
         return tuple(int(i) for i in self.station_index[first])
 
-    def segment_at(self, time_s: Array | float) -> NDArray[np.int64]:
+    def segment_at(self, time_s: Array | float) -> Indices:
         """Segment in force at each time: the later one at a joint, the last one at the end. Clamped outside."""
         index = np.searchsorted(self.knots_s, np.asarray(time_s, dtype=float), side="right") - 1
         return np.clip(index, 0, len(self) - 1)

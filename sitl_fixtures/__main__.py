@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from sitl_fixtures.errors import ConfigurationError, SimulatorError
-from sitl_fixtures.faults.fault import listing
+from sitl_fixtures.faults.injection import listing
 from sitl_fixtures.process.host import Address, run_process
 from sitl_fixtures.vehicle.config import SimulatorConfig
 from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot

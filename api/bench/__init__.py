@@ -1,1 +1,1 @@
-"""Measurements behind ``skyrelay bench``."""
+"""Measurements behind ``skyrelay bench``: of the planner, of the seed paper's experiments, of the wire layer."""

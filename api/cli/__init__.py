@@ -15,12 +15,20 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from api.cli.bench import command as bench
+from api.cli.bench import command as bench_command
 from api.cli.commands import flight, fly, handovers, plan, report, serve, setpoints, simulate
-from api.cli.demo import command as demo
-from api.cli.doctor import machine as doctor
-from api.cli.errors import EXIT_BAD_INPUT, EXIT_FAULT, EXIT_INTERRUPTED, CommandError, FaultError, Terminated
-from api.processes.children import ChildError
+from api.cli.demo import command as demo_command
+from api.cli.doctor import machine as doctor_command
+from api.cli.errors import (
+    EXIT_BAD_INPUT,
+    EXIT_FAULT,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    CommandError,
+    FaultError,
+    Terminated,
+)
+from api.processes import ChildError
 
 __all__ = ["main"]
 
@@ -35,7 +43,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with [bold]skyrelay demo[/bold]: the whole story without hardware. "
-    "Exit codes: 0 done, 2 bad input, 3 infeasible, 4 the flight ended in a contingency, 1 a fault of ours.",
+    "Exit codes: 0 done, 2 bad input, 3 infeasible, 4 the flight ended in a contingency procedure, 1 a fault of ours.",
 )
 
 
@@ -64,10 +72,10 @@ for _panel, _module in (
     ("Fly", flight),
     ("Fly", simulate),
     ("Fly", report),
-    ("Run", demo),
+    ("Run", demo_command),
     ("Run", serve),
-    ("Check", bench),
-    ("Check", doctor),
+    ("Check", bench_command),
+    ("Check", doctor_command),
 ):
     _module.register(app, _panel)
 
@@ -86,7 +94,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     code = EXIT_FAULT
     try:
         result = app(args=arguments, standalone_mode=False, prog_name="skyrelay")
-        code = result if isinstance(result, int) else 0
+        code = result if isinstance(result, int) else EXIT_OK
         sys.stdout.flush()
     except CommandError as error:
         _complain(error.block())

@@ -20,13 +20,6 @@ def out() -> Console:
     return Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 200)
 
 
-def err() -> Console:
-    """A console on standard error."""
-    from rich.console import Console
-
-    return Console(stderr=True, highlight=False, soft_wrap=True)
-
-
 class Progress:
     """One line that is rewritten on a terminal, and a plain line every ``every_s`` seconds elsewhere.
 

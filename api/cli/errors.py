@@ -3,7 +3,7 @@
 CommandError
 ├── BadInputError         exit 2   the caller can mend it: what, where, its value, what is allowed, what to do
 ├── InfeasibleError       exit 3   the mission has no plan: why, where, and the smallest fix
-├── ContingencyError      exit 4   the flight ended in a contingency
+├── ContingencyError      exit 4   the flight ended in a contingency procedure
 └── FaultError            exit 1   ours
 
 A command raises; `api.cli.main` prints one block on standard error and ends with the exit code.
@@ -95,7 +95,7 @@ def text_of(value: Any) -> str:
 
 
 def faults_as_paragraphs(faults: Iterable[Any]) -> list[dict[str, Any]]:
-    """``Fault(where, what, value, allowed, fix)`` objects of ``gcs.errors`` as paragraphs of a block."""
+    """``InputFault(where, what, value, allowed, fix)`` objects of ``gcs.errors`` as paragraphs of a block."""
     return [
         {
             "where": f.where,

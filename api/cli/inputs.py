@@ -36,10 +36,10 @@ def read_json(name: str, *, what: str) -> Any:
 def mission(document: Any, name: str) -> Mission:
     """A mission from its document; ``name`` is where it came from. Raises `BadInputError` with every fault."""
     from gcs.errors import MissionError
-    from gcs.mission import Mission
+    from gcs.mission import read_mission
 
     try:
-        return Mission.from_document(document)
+        return read_mission(document)
     except MissionError as error:
         count = len(error.problems)
         number = "a fault" if count == 1 else f"{count} faults"
@@ -59,11 +59,11 @@ def paragraphs(error: MissionError) -> list[dict[str, Any]]:
 def plan(name: str) -> Plan:
     """The plan in file ``name`` (``-``: standard input). Raises `BadInputError`."""
     from gcs.errors import PlanError
-    from gcs.plan import Plan
+    from gcs.plan import read_plan
 
     document = read_json(name, what="plan")
     try:
-        return Plan.from_document(document)
+        return read_plan(document)
     except PlanError as error:
         fix = "make it anew with `skyrelay plan MISSION.json -o PLAN.json`"
         if isinstance(document, dict) and "stations" in document and "segments" not in document:

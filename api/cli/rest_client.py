@@ -10,7 +10,7 @@ from typing import Any
 from api.cli.errors import FaultError
 
 
-class Service:
+class ServiceClient:
     """The REST interface, as any program would use it."""
 
     def __init__(self, address: str) -> None:

@@ -50,7 +50,7 @@ def home_under(plan: Plan) -> str:
     return f"{float(lat_deg):.9f},{float(lon_deg):.9f},{ground_amsl_m:.3f}"
 
 
-def start(children: Children, plan: Plan, *, autopilot: str, speedup: float) -> tuple[Child, dict[str, str]]:
+def start_simulator(children: Children, plan: Plan, *, autopilot: str, speedup: float) -> tuple[Child, dict[str, str]]:
     """A simulated vehicle under the plan's start, and the link URL of each station of the plan.
 
     Returns once it is ready. Raises `ChildError` when it does not get so.

@@ -1,1 +1,7 @@
-"""REST: the application, its middleware, problems, routes and schemas."""
+"""REST: the application, what every request passes, problem details, routes and their bodies."""
+
+from __future__ import annotations
+
+from api.rest.app import create_app
+
+__all__ = ["create_app"]

@@ -11,8 +11,7 @@ from api.rest import problems
 from api.rest.middleware import BodyLimit, OriginGuard, RequestLog
 from api.rest.openapi import describe
 from api.rest.routes import flights, health, missions, page, plans, registries
-from api.service.metrics import Metrics
-from api.service.services import Services
+from api.service import Metrics, Services
 from gcs.planning import product_version
 from gcs.settings import Settings
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from api.service.services import Services
+from api.service import Services
 
 
 def services_of(connection: HTTPConnection) -> Services:

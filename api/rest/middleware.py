@@ -75,13 +75,13 @@ class RequestLog:
             if status:
                 raise
             # The service ends, and its patience with this request is over.
-            ending = problems.document(503, "the service is ending", kind="unavailable", title="Not available")
+            ending = problems.problem_details(503, "the service is ending", kind="unavailable", title="Not available")
             await problems.response(ending, {"connection": "close"})(scope, receive, send_marked)
         except Exception:
             log.exception("fault", method=scope["method"], path=scope["path"])
             if status:
                 raise  # the answer is under way: cutting the connection is the only way left to say so
-            await problems.response(problems.fault_document())(scope, receive, send_marked)
+            await problems.response(problems.fault_details())(scope, receive, send_marked)
         finally:
             seconds = time.monotonic() - started
             route = getattr(scope.get("route"), "path", "(none)")
@@ -113,7 +113,7 @@ class OriginGuard:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": complaint})
         else:
-            body = problems.document(403, complaint, kind="cross-site", title="Refused")
+            body = problems.problem_details(403, complaint, kind="cross-site", title="Refused")
             await problems.response(body)(scope, receive, send)
 
     def complaint(self, scope: Scope) -> str | None:
@@ -181,7 +181,7 @@ class BodyLimit:
         """Answer 413 without reading."""
         detail = f"the body is larger than {self.limit_bytes} bytes"
         entry = problems.fault("body", detail, allowed=f"at most {self.limit_bytes} bytes", fix="send less")
-        body = problems.document(413, "the body is too large", kind="too-large", errors=[entry])
+        body = problems.problem_details(413, "the body is too large", kind="too-large", errors=[entry])
         await problems.response(body, {"connection": "close"})(scope, receive, send)
 
     async def drain(self, receive: Receive, message: Message) -> None:

@@ -131,11 +131,11 @@ def _safe(value: Any) -> Any:
 
 
 def domain_faults(faults: Iterable[Any]) -> list[dict[str, Any]]:
-    """``Fault(where, what, value, allowed, fix)`` of ``gcs.errors`` as arguments of `fault`."""
+    """``InputFault(where, what, value, allowed, fix)`` of ``gcs.errors`` as arguments of `fault`."""
     return [{"where": f.where, "what": f.what, "value": f.value, "allowed": f.allowed, "fix": f.fix} for f in faults]
 
 
-def document(
+def problem_details(
     status: int,
     detail: str,
     *,
@@ -144,7 +144,7 @@ def document(
     errors: Iterable[Mapping[str, Any]] = (),
     more: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """A problem document as data."""
+    """Problem details (RFC 9457) as data."""
     body: dict[str, Any] = {
         "type": _URN + kind,
         "title": title or http.HTTPStatus(status).phrase,
@@ -159,13 +159,13 @@ def document(
 
 
 def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> Response:
-    """A problem document as an answer."""
+    """Problem details as an answer."""
     return JSONResponse(body, status_code=body["status"], headers=dict(headers or {}), media_type=PROBLEM_TYPE)
 
 
-def fault_document() -> dict[str, Any]:
+def fault_details() -> dict[str, Any]:
     """What the outside is told of a fault of ours: nothing but the id that finds it in the log."""
-    return document(
+    return problem_details(
         500, "a fault of the service; its log has more under this request id", kind="fault", title=ApiError.title
     )
 
@@ -183,7 +183,7 @@ def install(app: FastAPI) -> None:
     async def on_api_error(_request: Request, error: Exception) -> Response:
         assert isinstance(error, ApiError)
         return response(
-            document(
+            problem_details(
                 error.status,
                 error.detail,
                 kind=error.problem_kind,
@@ -198,7 +198,9 @@ def install(app: FastAPI) -> None:
         if error.status_code == 400:
             # The framework's word for a body it cannot decode; malformed is 422 here, whatever is malformed.
             entry = fault("body", "cannot be read", allowed="JSON in UTF-8", fix="correct the text")
-            return response(document(422, "body: cannot be read", kind="bad-input", title="Bad input", errors=[entry]))
+            return response(
+                problem_details(422, "body: cannot be read", kind="bad-input", title="Bad input", errors=[entry])
+            )
         kind, said = _STATUS_KINDS.get(error.status_code, (f"http-{error.status_code}", str(error.detail)))
         entries = []
         detail = said
@@ -206,13 +208,13 @@ def install(app: FastAPI) -> None:
             entries = [fault("body", error.detail, allowed=f"at most {error.limit_bytes} bytes", fix="send less")]
         elif error.status_code in (404, 405):
             detail = f"{said}: {request.method} {request.url.path}"
-        return response(document(error.status_code, detail, kind=kind, errors=entries), error.headers)
+        return response(problem_details(error.status_code, detail, kind=kind, errors=entries), error.headers)
 
     async def on_invalid(_request: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
         entries = [_of_pydantic(e) for e in error.errors()]
         summary = "; ".join(f"{e['where']}: {e['what']}" for e in entries[:3])
-        return response(document(422, summary, kind="bad-input", title="Bad input", errors=entries))
+        return response(problem_details(422, summary, kind="bad-input", title="Bad input", errors=entries))
 
     app.add_exception_handler(ApiError, on_api_error)
     app.add_exception_handler(HTTPException, on_http)

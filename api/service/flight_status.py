@@ -1,4 +1,4 @@
-"""A flight's events folded into what people look at: state, preflight, where it is, how it ended. Pure."""
+"""What a flight's events amount to, for people to look at: state, preflight, where it is, how it ended. Pure."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _MOST_ALARMS = 50
 
 
 def outer_state(state: FlightState) -> str:
-    """The state as the outside knows it: ``preflight`` until the word to launch."""
+    """The state as the outside knows it: ``preflight`` until the launch command."""
     return FlightState.PREFLIGHT.value if state in ON_THE_GROUND else state.value
 
 
 @dataclass
-class FlightFold:
+class FlightStatus:
     """What the events so far amount to. `apply` each in order."""
 
     state: FlightState = FlightState.CONNECTING

@@ -1,4 +1,4 @@
-"""Flights of the service: started, spoken to, watched. A streamer outlives the service, which finds it again.
+"""Flights of the service: started, commanded, watched. A streamer outlives the service, which finds it again.
 
 Wires `link.streamer.supervisor` (processes), the store (records and history) and those who watch. Everything here may
 block and is called from threads; the streamer's events come on a thread of their own.
@@ -12,20 +12,20 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import structlog
 
 from api.service.changes import Changes
-from api.service.flight_status import FlightFold
+from api.service.flight_status import FlightStatus
 from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.exports import write_atomic
-from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError
 from gcs.plan import Plan
 from gcs.settings import Settings
 from gcs.store import FlightRecord, Store
+from gcs.timestamps import utc_now_text
 from link.director import PREFLIGHT_VALID_S
 from link.errors import LinkError, SupervisorError
 from link.session import FlightRequest
@@ -59,12 +59,12 @@ class _Journal:
 class _Watched:
     """A flight whose streamer runs, as far as known. ``flight`` is None until it is connected."""
 
-    fold: FlightFold
+    status: FlightStatus
     flight: RunningFlight | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
-class FlightDesk:
+class FlightService:
     """All flights of a service."""
 
     def __init__(self, settings: Settings, store: Store, changes: Changes) -> None:
@@ -78,7 +78,7 @@ class FlightDesk:
     def create(
         self, plan: Plan, *, mission_id: str, version: int, vehicle_id: str, options: Mapping[str, Any]
     ) -> FlightRecord:
-        """A flight of ``plan``, its streamer started; nothing is armed before the word to launch.
+        """A flight of ``plan``, its streamer started; nothing is armed before the launch command.
 
         Raises `gcs.errors.NotFoundError` (vehicle or link), `ConflictError` (the vehicle flies, the plan is another),
         `link.errors.FlightRequestError` and `SupervisorError`.
@@ -97,7 +97,7 @@ class FlightDesk:
         folder = self._folder(record.id)
         document = {**record.document, "run_dir": str(folder)}
         record = self._store.flights.update(record.id, document)
-        watched = self._watched[record.id] = _Watched(FlightFold())
+        watched = self._watched[record.id] = _Watched(FlightStatus())
         try:
             sent = replace(request, flight_id=record.id, log_path=str(folder / "flight.tlog"))
             watched.flight = start_flight(
@@ -130,7 +130,7 @@ class FlightDesk:
         return folder
 
     def _end_unstarted(self, flight_id: str, why: str) -> None:
-        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        now = utc_now_text()
         data = {"from": FlightState.CONNECTING.value, "to": FlightState.REFUSED.value, "reason": why}
         event = FlightEvent(1, EventKind.STATE, 0.0, None, now, FlightState.REFUSED, data)
         with contextlib.suppress(StoreError):
@@ -139,7 +139,7 @@ class FlightDesk:
     def _listener(self, flight_id: str, watched: _Watched) -> Any:
         def on_event(event: FlightEvent) -> None:
             with watched.lock:
-                watched.fold.apply(event)
+                watched.status.apply(event)
             self._changes.tell(flight_id)
 
         return on_event
@@ -156,32 +156,32 @@ class FlightDesk:
 
     def _reattach(self, record: FlightRecord) -> None:
         folder = Path(record.document.get("run_dir") or "/nonexistent")
-        fold = self._fold_of(record.id)
-        watched = _Watched(fold)
+        status = self._status_of(record.id)
+        watched = _Watched(status)
         journal, listener = _Journal(self._store, record.id), self._listener(record.id, watched)
         try:
-            watched.flight = attach(folder, journal, listener, after=fold.sequence)
+            watched.flight = attach(folder, journal, listener, after=status.sequence)
         except SupervisorError:
-            self._catch_up(record, folder, fold)
+            self._catch_up(record, folder, status)
             return
         self._watched[record.id] = watched
-        log.info("flight found again", flight=record.id, state=fold.state.value)
+        log.info("flight found again", flight=record.id, state=status.state.value)
 
-    def _catch_up(self, record: FlightRecord, folder: Path, fold: FlightFold) -> None:
+    def _catch_up(self, record: FlightRecord, folder: Path, status: FlightStatus) -> None:
         """No streamer runs any more: take over what it wrote meanwhile, and say how it ended."""
         journal = self._store.flights
         with contextlib.suppress(OSError, ValueError, KeyError):
             for line in (folder / "events.jsonl").read_bytes().splitlines():
                 event = FlightEvent.from_document(json.loads(line))
-                if event.sequence > fold.sequence:
+                if event.sequence > status.sequence:
                     journal.append(record.id, event)
-                    fold.apply(event)
-        if fold.state.ended:
+                    status.apply(event)
+        if status.state.ended:
             return
-        state = FlightState.LOST if fold.state.airborne else FlightState.REFUSED
-        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        data = {"what": "the streamer died while the service was away", "from": fold.state.value}
-        event = FlightEvent(fold.sequence + 1, EventKind.ALARM, 0.0, fold.t_plus_s, now, state, data)
+        state = FlightState.LOST if status.state.airborne else FlightState.REFUSED
+        now = utc_now_text()
+        data = {"what": "the streamer died while the service was away", "from": status.state.value}
+        event = FlightEvent(status.sequence + 1, EventKind.ALARM, 0.0, status.t_plus_s, now, state, data)
         journal.append(record.id, event)
         log.error("flight lost its streamer", flight=record.id, state=state.value)
 
@@ -191,29 +191,29 @@ class FlightDesk:
             flight = watched.flight
             if flight is None or flight.result is not None:
                 continue
-            if watched.fold.state.airborne or watched.fold.state is FlightState.ARMING:
+            if watched.status.state.airborne or watched.status.state is FlightState.ARMING:
                 log.warning("the flight goes on without the service", flight=flight_id, streamer=flight.pid)
                 flight.detach()
             else:
                 with contextlib.suppress(TransitionError, SupervisorError, TimeoutError):
-                    flight.command(Word.ABORT, by="service", reason="the service ends")
+                    flight.command(OperatorCommand.ABORT, by="service", reason="the service ends")
                     flight.wait(3.0)
                 if flight.result is None:
                     flight.kill()
         self._watched.clear()
 
-    # -- speaking -----------------------------------------------------------------------------------------------------
+    # -- commanding ---------------------------------------------------------------------------------------------------
 
-    def command(self, flight_id: str, word: Word, **fields: Any) -> None:
-        """Say a word to a flight.
+    def command(self, flight_id: str, command: OperatorCommand, **fields: Any) -> None:
+        """Give a flight an operator command.
 
-        Raises `gcs.errors.NotFoundError`, `ConflictError` (it has ended), `TransitionError` (it may not be said now),
+        Raises `gcs.errors.NotFoundError`, `ConflictError` (it has ended), `TransitionError` (it cannot be given now),
         `SupervisorError`.
         """
-        self._running(flight_id).command(word, **fields)
+        self._running(flight_id).command(command, **fields)
 
     def launch(self, flight_id: str, *, plan_sha256: str, preflight_id: int, by: str) -> None:
-        """The word to launch: for this plan, on this preflight, which has passed and is under 60 s old.
+        """The launch command: for this plan, on this preflight, which has passed and is under 60 s old.
 
         Raises as `command` does.
         """
@@ -231,7 +231,7 @@ class FlightDesk:
                 f"the preflight is {age_s:.0f} s old, allowed is under {PREFLIGHT_VALID_S:.0f} s; "
                 "abort this flight and make another"
             )
-        flight.command(Word.LAUNCH, by=by, plan_sha256=plan_sha256)
+        flight.command(OperatorCommand.LAUNCH, by=by, plan_sha256=plan_sha256)
 
     def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:
         """Give a flight another plan to fly from here on. Raises as `command` does."""
@@ -268,7 +268,7 @@ class FlightDesk:
     def _run_dir(self, flight_id: str) -> Path:
         return Path(self._store.flights.get(flight_id).document.get("run_dir") or "/nonexistent")
 
-    def status(self, flight_id: str) -> dict[str, Any]:
+    def streamer_status(self, flight_id: str) -> dict[str, Any]:
         """What the streamer says of a flight now. Raises as `command` does, but no `TransitionError`."""
         return self._running(flight_id).status()
 
@@ -285,23 +285,23 @@ class FlightDesk:
         watched = self._watched.get(flight_id)
         if watched is None or watched.flight is None or watched.flight.result is not None:
             record = self._store.flights.get(flight_id)
-            raise ConflictError(f"flight {flight_id} is {record.state.value} and takes no words any more")
+            raise ConflictError(f"flight {flight_id} is {record.state.value} and takes no commands any more")
         return watched.flight
 
     # -- looking ------------------------------------------------------------------------------------------------------
 
-    def look(self, flight_id: str) -> FlightFold:
+    def look(self, flight_id: str) -> FlightStatus:
         """What a flight's events amount to now: from memory while it runs here, else from the store."""
         watched = self._watched.get(flight_id)
-        return self._fold_of(flight_id) if watched is None else watched.fold
+        return self._status_of(flight_id) if watched is None else watched.status
 
-    def _fold_of(self, flight_id: str) -> FlightFold:
-        fold, after = FlightFold(), 0
+    def _status_of(self, flight_id: str) -> FlightStatus:
+        status, after = FlightStatus(), 0
         while events := self._store.flights.events(flight_id, after=after):
             for event in events:
-                fold.apply(event)
+                status.apply(event)
             after = events[-1].sequence
-        return fold
+        return status
 
     def preflight_age_s(self, flight_id: str) -> float | None:
         """Age of a running flight's last preflight, wall seconds; None where there is none or nobody to ask."""
@@ -319,6 +319,6 @@ class FlightDesk:
         found: dict[str, int] = {}
         for watched in list(self._watched.values()):
             if watched.flight is not None and watched.flight.result is None:
-                state = watched.fold.state.value
+                state = watched.status.state.value
                 found[state] = found.get(state, 0) + 1
         return found

@@ -8,7 +8,7 @@ import sys
 import structlog
 
 
-def configure(style: str = "console", level: str = "info") -> None:
+def configure_logging(style: str = "console", level: str = "info") -> None:
     """Set up structlog and send the standard library's records (uvicorn, alembic) through it.
 
     ``style`` is ``"json"`` or ``"console"``; ``level`` a name such as ``"info"``.

@@ -13,12 +13,12 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from api.rest.problems import ConflictError
-from api.service.flights import FlightDesk
+from api.service.errors import ReplanFailedError, ReplanInfeasibleError, ReplanStateError, StillStoppingError
+from api.service.flights import FlightService
 from gcs.errors import MissionInfeasible, PlanningCancelled, PlanningFailed
 from gcs.flight import FlightState
 from gcs.jobs import PlanningPool
-from gcs.plan import Plan
+from gcs.plan import read_plan
 from gcs.planning import ReplanOrder
 from link.director import judge_next
 
@@ -67,8 +67,8 @@ class Proposal:
 class Replanning:
     """Proposals of all flights."""
 
-    def __init__(self, desk: FlightDesk, pool: PlanningPool) -> None:
-        self._desk = desk
+    def __init__(self, flights: FlightService, pool: PlanningPool) -> None:
+        self._flights = flights
         self._pool = pool
 
     def propose(
@@ -82,16 +82,16 @@ class Replanning:
     ) -> Proposal:
         """Plan on from where the flight stands, or from ``ahead_s`` ahead of it (seconds of the plan).
 
-        ``plan_of`` gives a plan's document by its hash. Raises `ConflictError` where the flight cannot be replanned now
-        or no plan is found (``reason`` says why), `gcs.errors.MissionError`, `SupervisorError`.
+        ``plan_of`` gives a plan's document by its hash. Raises a `api.service.errors.ReplanError` where the flight
+        cannot be replanned now or no plan is found, `gcs.errors.MissionError`, `SupervisorError`.
         """
-        status = self._desk.status(flight_id)
+        status = self._flights.streamer_status(flight_id)
         state = FlightState(status["state"])
         if state not in (FlightState.CRUISE, FlightState.HOLDING) or status["plan_s"] is None:
-            raise ConflictError(f"a flight that is {state} cannot be replanned; it must cruise or hold on its path")
+            raise ReplanStateError(f"a flight that is {state} cannot be replanned; it must cruise or hold on its path")
         at_rest = state is FlightState.HOLDING
         if at_rest and not status["stands"]:
-            raise ConflictError("the flight is coming to a stop; ask again when it stands", kind="not-now")
+            raise StillStoppingError("the flight is coming to a stop; ask again when it stands")
         document = plan_of(status["plan_sha256"])
         shift_s = float(status["t_plus_s"]) - float(status["plan_s"])
         refusal: MissionInfeasible | None = None
@@ -114,32 +114,28 @@ class Replanning:
                 if error.reason != "join":
                     break
         assert refusal is not None
-        shown = refusal.to_document()
-        kept: dict[str, Any] = {
-            k: shown[k] for k in ("reason", "stations", "where", "gap_m", "fix") if shown.get(k) is not None
-        }
-        raise ConflictError(str(refusal), kind="infeasible", title="There is no such flight from here", **kept)
+        raise ReplanInfeasibleError(refusal)
 
     def _planned(self, order: ReplanOrder) -> dict[str, Any]:
         try:
             return self._pool.replan(order, limit_s=_LIMIT_S).result(2.0 * _LIMIT_S)
         except (PlanningFailed, PlanningCancelled, FutureTimeoutError, CancelledError) as error:
-            raise ConflictError(str(error) or "planning took too long", kind="planning-failed") from None
+            raise ReplanFailedError(str(error) or "planning took too long") from None
 
     def _keep(self, flight_id: str, made: Mapping[str, Any], shift_s: float, loss_timeout_s: float) -> Proposal:
         at_rest, leave_s, join_s = bool(made["at_rest"]), float(made["leave_s"]), float(made["join_s"])
         decide_by_s = None if at_rest else leave_s - _NOTICE_S + shift_s
         # From rest the plan's time moves on by the braking it stands for; the clock does not.
         shift_s += leave_s - join_s
-        plan = Plan.from_document(made["plan"])
-        checks = judge_next(plan, self._desk.request(flight_id), loss_timeout_s=loss_timeout_s, after_s=join_s)
+        plan = read_plan(made["plan"])
+        checks = judge_next(plan, self._flights.request(flight_id), loss_timeout_s=loss_timeout_s, after_s=join_s)
         told = [check.to_document() for check in checks]
         proposal = Proposal(made["plan"], join_s, leave_s, at_rest, shift_s, decide_by_s, told)
-        self._desk.keep_proposal(flight_id, asdict(proposal))
+        self._flights.keep_proposal(flight_id, asdict(proposal))
         return proposal
 
     def accept(self, flight_id: str, plan_sha256: str, *, by: str, reason: str) -> None:
-        """A person's word: fly this proposal. Raises `NotFoundError`, and as `FlightDesk.command` does."""
-        proposal = Proposal(**self._desk.proposal(flight_id, plan_sha256))
+        """An operator command: fly this proposal. Raises `NotFoundError`, and as `FlightService.command` does."""
+        proposal = Proposal(**self._flights.proposal(flight_id, plan_sha256))
         times = {"join_s": proposal.join_s, "leave_s": proposal.leave_s} if proposal.at_rest else {}
-        self._desk.replan(flight_id, proposal.plan, by=by, reason=reason, **times)
+        self._flights.replan(flight_id, proposal.plan, by=by, reason=reason, **times)

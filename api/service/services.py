@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from api.service.changes import Changes
-from api.service.flights import FlightDesk
+from api.service.flights import FlightService
 from api.service.metrics import Metrics
 from api.service.replanning import Replanning
 from gcs.errors import StoreUnavailable
 from gcs.jobs import PlanningPool
-from gcs.plan import Plan
+from gcs.plan import Plan, read_plan
 from gcs.settings import Settings
 from gcs.store import MissionRecord, Store
 
@@ -63,7 +63,7 @@ class Services:
     store: Store
     pool: PlanningPool
     changes: Changes
-    desk: FlightDesk
+    flights: FlightService
     replanning: Replanning
     plans: Cache[str, Plan] = field(default_factory=lambda: Cache(16))
     facts: Cache[str, PlanFacts] = field(default_factory=lambda: Cache(10_000))
@@ -88,17 +88,17 @@ class Services:
                 limit_s=settings.planning_limit_s,
                 on_change=on_change,
             )
-            desk = FlightDesk(settings, store, changes)
-            services = cls(settings, metrics, store, pool, changes, desk, Replanning(desk, pool))
+            flights = FlightService(settings, store, changes)
+            services = cls(settings, metrics, store, pool, changes, flights, Replanning(flights, pool))
             metrics.watch_counts("skyrelay_missions", "Mission versions by status", services.mission_counts)
             metrics.watch_counts("skyrelay_planners", "Planning processes by state", pool.stats)
-            metrics.watch_counts("skyrelay_flights", "Running flights by state", desk.counts)
+            metrics.watch_counts("skyrelay_flights", "Running flights by state", flights.counts)
             pool.start()
             try:
-                desk.reattach()
+                flights.reattach()
                 yield services
             finally:
-                desk.close()
+                flights.close()
                 pool.stop()
 
     def mission_counts(self) -> dict[str, int]:
@@ -113,7 +113,7 @@ class Services:
         assert record.plan_sha256 is not None
 
         def load() -> Plan:
-            return Plan.from_document(self.store.missions.plan(record.id, record.version))
+            return read_plan(self.store.missions.plan(record.id, record.version))
 
         return self.plans.get(record.plan_sha256, load)
 

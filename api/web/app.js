@@ -19,6 +19,10 @@ const EXAMPLE = {
   safe_points: [{ id: "texel-field", lat_deg: 53.1153, lon_deg: 4.8336, alt_amsl_m: 30.0 }],
 };
 
+// States by the name the field has for them, where ours is shorter.
+const STATE_TEXTS = { lapsed: "lost C2 link", contingency: "contingency procedure" };
+const stateText = (state) => STATE_TEXTS[state] ?? state;
+
 let older = [];
 let next = null;
 let shown = null; // { id, plan, unit, status }
@@ -142,17 +146,17 @@ function live(state) {
   if (!shown?.plan) return;
   const plan = shown.plan;
   const time = state.t_plus_s ?? null;
-  const parts = [state.state];
+  const parts = [stateText(state.state)];
   if (time !== null) parts.push(`T+ ${clock(time)} of ${clock(plan.mission_time_s)}`);
   if (state.station) parts.push(`${state.station} in control`);
   if (state.speed_m_s !== undefined && state.speed_m_s !== null) parts.push(`${state.speed_m_s.toFixed(1)} m/s`);
   $("flight-now").textContent = parts.join(" · ");
   $("flight-now").className = `status ${state.outcome === "completed" ? "good" : state.outcome ? "bad" : "wait"}`;
   // Spoken by screen readers: only what matters, not every second.
-  const said = `${state.outcome || state.state}${state.station ? `, ${state.station} in control` : ""}`;
+  const said = `${stateText(state.outcome || state.state)}${state.station ? `, ${state.station} in control` : ""}`;
   if ($("flight-say").textContent !== said) $("flight-say").textContent = said;
   const upcoming = state.next_handover;
-  $("flight-next").textContent = upcoming ? `${upcoming.to} takes control in ${clock(Math.max(0, upcoming.in_s))}.` : "";
+  $("flight-next").textContent = upcoming ? `Receiving station ${upcoming.to} takes control in ${clock(Math.max(0, upcoming.in_s))}.` : "";
   drawVehicle($("map"), plan, shown.unit, state.position);
   markNow($("bars"), plan, time);
 }

@@ -72,19 +72,6 @@ export function drawMap(svg, caption, plan) {
   return { unit };
 }
 
-/** Where the curve is at a time: [east, north]. */
-export function positionAt(plan, time) {
-  const segments = plan.segments;
-  let k = segments.findIndex((s) => time < s.start_s + s.duration_s);
-  if (k < 0) k = segments.length - 1;
-  const u = Math.min(1, Math.max(0, (time - segments[k].start_s) / segments[k].duration_s));
-  let points = segments[k].control_points.map((p) => [p[0], p[1]]);
-  while (points.length > 1) {
-    points = points.slice(1).map((p, i) => [points[i][0] * (1 - u) + p[0] * u, points[i][1] * (1 - u) + p[1] * u]);
-  }
-  return points[0];
-}
-
 /** The vehicle on the map: `place` is a geodetic or plane position, or null when nothing flies. */
 export function drawVehicle(svg, plan, unit, place) {
   const group = svg.querySelector("#vehicle");

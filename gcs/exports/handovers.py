@@ -20,6 +20,7 @@ from gcs.errors import ExportError
 from gcs.mission.staffing import staffed
 from gcs.plan.handover_schedule import Handover
 from gcs.plan.model import Plan
+from gcs.timestamps import utc_text
 
 CSV_HEADER = (
     "index",
@@ -93,7 +94,7 @@ def utc_at(launch: datetime | None, time_s: float) -> str | None:
         moment = launch.astimezone(UTC) + timedelta(seconds=time_s)
     except OverflowError:
         raise ExportError(f"launch time {launch} is out of range") from None
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    return utc_text(moment, "milliseconds")
 
 
 def clock(time_s: float) -> str:

@@ -78,7 +78,7 @@ def serve(channel: Connection[Any, Any]) -> None:
 def answer(channel: Connection[Any, Any], task: dict[str, Any]) -> None:
     """Plan one task and send what came of it; a task without a number is planned and nothing sent."""
     from gcs.errors import MissionError, MissionInfeasible
-    from gcs.mission.model import Mission
+    from gcs.mission.document import read_mission
     from gcs.planning.mission_planning import plan_mission
     from gcs.planning.replan import ReplanOrder
 
@@ -98,7 +98,7 @@ def answer(channel: Connection[Any, Any], task: dict[str, Any]) -> None:
         if task.get("replan") is not None:
             result: dict[str, Any] = {"plan": ReplanOrder(**task["replan"]).execute(**how).to_document()}
         else:
-            mission = Mission.from_document(task["mission"], max_stations=MAX_STATIONS)
+            mission = read_mission(task["mission"], max_stations=MAX_STATIONS)
             result = {"plan": plan_mission(mission, **how).to_document()}
     except MissionInfeasible as error:
         result = {"infeasible": error.to_document()}

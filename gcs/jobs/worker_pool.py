@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from gcs.errors import Fault, MissionError, PlanningCancelled, PlanningFailed, infeasible_from_document
+from gcs.errors import InputFault, MissionError, PlanningCancelled, PlanningFailed, infeasible_from_document
 from gcs.jobs.worker import MAX_MESSAGE_BYTES
 from gcs.planning.replan import ReplanOrder
 
@@ -307,7 +307,7 @@ class WorkerPool:
         elif "infeasible" in message:
             self._settle(job, error=infeasible_from_document(message["infeasible"]))
         elif "malformed" in message:
-            self._settle(job, error=MissionError([Fault(**fault) for fault in message["malformed"]]))
+            self._settle(job, error=MissionError([InputFault(**fault) for fault in message["malformed"]]))
         elif job.method != FALLBACK and job.attempts == 1:
             self._again(job, f"the {job.method or 'joint'} method failed ({message.get('failed')})")
         else:

@@ -1,8 +1,8 @@
 """A mission laid on its plane: where everything is, and how far it truly is from there.
 
-`Ground` is what planning, schedule and contingencies measure with. In a WGS84 mission distances are straight lines
-through space (altitudes taken as ellipsoidal heights); in a local mission they are those of the plane, which is the
-world there.
+`MissionGeometry` is what planning, schedule and contingencies measure with. In a WGS84 mission distances are straight
+lines through space (altitudes taken as ellipsoidal heights); in a local mission they are those of the plane, which is
+the world there.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.geodesy import range_bounds
 from gcs.geodesy.ellipsoid import ecef_m
 from gcs.geodesy.plane import Plane
 from gcs.mission.model import GeoPosition, LocalPosition, Mission, Position
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Indices
+from planner.coverage import ElevationMask
 
 
 def choose_plane(mission: Mission) -> Plane:
@@ -39,15 +38,15 @@ def choose_plane(mission: Mission) -> Plane:
 
 
 @dataclass(frozen=True)
-class Ground:
+class MissionGeometry:
     """A mission and its plane."""
 
     mission: Mission
     plane: Plane
 
-    def renamed(self, mission: Mission) -> Ground:
-        """The ground of ``mission``, which has the same places under the same or other names and ids."""
-        other = Ground(mission, self.plane)
+    def renamed(self, mission: Mission) -> MissionGeometry:
+        """The geometry of ``mission``, which has the same places under the same or other names and ids."""
+        other = MissionGeometry(mission, self.plane)
         for name in ("stations_enu_m", "full_ranges_m", "min_elevations_deg", "_antennas"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
@@ -88,9 +87,8 @@ class Ground:
 
     @cached_property
     def min_elevations_deg(self) -> Array:
-        """``(M,)``: lowest elevations as given, -90 where there is no such limit."""
-        given = [s.min_elevation_deg for s in self.mission.stations]
-        return np.array([-90.0 if angle is None else angle for angle in given])
+        """``(M,)``: lowest elevations as given, in the numbers of `ElevationMask`."""
+        return ElevationMask.of_each(s.min_elevation_deg for s in self.mission.stations).lowest_deg
 
     @cached_property
     def _antennas(self) -> tuple[Array, Array]:
@@ -101,7 +99,7 @@ class Ground:
         up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
         return ecef_m(at[:, 0], at[:, 1], at[:, 2]), up
 
-    def offsets_m(self, stations: NDArray[np.int64], enu_m: Array) -> tuple[Array, Array]:
+    def offsets_m(self, stations: Indices, enu_m: Array) -> tuple[Array, Array]:
         """True distance and height above the antenna's horizon, ``(...)``, of plane points ``(..., 3)``.
 
         ``stations`` broadcasts against the points.
@@ -115,18 +113,18 @@ class Ground:
         height = np.einsum("...i,...i->...", offset, np.broadcast_to(ups[stations], offset.shape))
         return np.asarray(np.linalg.norm(offset, axis=-1)), np.asarray(height)
 
-    def true_range_m(self, stations: NDArray[np.int64], enu_m: Array) -> Array:
+    def true_range_m(self, stations: Indices, enu_m: Array) -> Array:
         """True distance ``(...)`` of plane points ``(..., 3)`` from stations that broadcast against them."""
         return self.offsets_m(stations, enu_m)[0]
 
-    def outside_m(self, stations: NDArray[np.int64], enu_m: Array) -> Array:
+    def outside_m(self, stations: Indices, enu_m: Array) -> Array:
         """How far outside its station's full range, or below its lowest elevation, each point is; negative inside."""
         distance, height = self.offsets_m(stations, enu_m)
         outside = distance - self.full_ranges_m[stations]
-        lowest = self.min_elevations_deg[stations]
-        if (lowest > -90).any():
-            below = np.sin(np.radians(lowest)) * distance - height
-            outside = np.where(lowest > -90, np.maximum(outside, below), outside)
+        mask = ElevationMask(self.min_elevations_deg).at(stations)
+        if mask.limited.any():
+            below = np.sin(mask.angle_rad) * distance - height
+            outside = np.where(mask.limited, np.maximum(outside, below), outside)
         return np.asarray(outside)
 
     # Both bounds take the altitude band of the mission: the vehicle is inside it.
@@ -156,7 +154,7 @@ class Ground:
         from_origin = np.hypot(self.stations_enu_m[:, 0], self.stations_enu_m[:, 1])
         return range_bounds.bound_range_m(ranges_m, from_origin, lowest, difference)
 
-    def range_bound_m(self, stations: NDArray[np.int64], enu_m: Array) -> Array:
+    def range_bound_m(self, stations: Indices, enu_m: Array) -> Array:
         """Lengths no true range exceeds, ``(...)``; convex in the point, so control points speak for their curve."""
         offset = enu_m - self.stations_enu_m[stations]
         if self.is_local:

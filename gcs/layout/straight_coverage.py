@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs.geodesy.range_bounds import planning_elevation_deg
-from gcs.layout.mission_geometry import Ground
+from gcs.layout.mission_geometry import MissionGeometry
 
 Array = NDArray[np.float64]
 
@@ -21,14 +21,14 @@ _AT_ONCE = 256
 class Cover:
     """Whether straight ways lie in the union of the ranges, each less ``off_m``; excluded stations do not count."""
 
-    def __init__(self, ground: Ground, off_m: float) -> None:
-        excluded = set(ground.mission.options.excluded_stations)
-        keep = [i for i, s in enumerate(ground.mission.stations) if s.id not in excluded]
-        self.radius = (ground.inner_ranges_m(ground.full_ranges_m) - off_m)[keep]
-        self.centre = ground.stations_enu_m[keep]
-        lowest = ground.min_elevations_deg[keep]
-        if not ground.is_local:
-            raised = np.minimum(planning_elevation_deg(lowest, ground.full_ranges_m[keep]), 89.9)
+    def __init__(self, geometry: MissionGeometry, off_m: float) -> None:
+        excluded = set(geometry.mission.options.excluded_stations)
+        keep = [i for i, s in enumerate(geometry.mission.stations) if s.id not in excluded]
+        self.radius = (geometry.inner_ranges_m(geometry.full_ranges_m) - off_m)[keep]
+        self.centre = geometry.stations_enu_m[keep]
+        lowest = geometry.min_elevations_deg[keep]
+        if not geometry.is_local:
+            raised = np.minimum(planning_elevation_deg(lowest, geometry.full_ranges_m[keep]), 89.9)
             lowest = np.where(lowest > -90, raised, lowest)
         self.slope = np.where(lowest > -90, np.tan(np.radians(np.maximum(lowest, 0.0))), np.nan)
         self.off_m = off_m

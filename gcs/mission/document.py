@@ -1,4 +1,4 @@
-"""A mission as JSON: reading it with every fault found, and writing it with every default filled in.
+"""Reading a mission from JSON, with every fault found. Writing it is `gcs.mission.writing`.
 
 What is *malformed* is refused here, before anything is stored: wrong types, numbers out of range, unknown names, ids
 used twice. What is well said but cannot be flown (a start outside the altitude band or out of every range) is
@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import difflib
 import math
-import unicodedata
 from collections.abc import Mapping
 from dataclasses import fields
 
-import numpy as np
-
 from gcs.document_reader import MAX_DOCUMENT_BYTES, FaultList, Reader, parse_json, type_name
-from gcs.errors import Fault, MissionError
-from gcs.geodesy.ellipsoid import slant_range_m
+from gcs.errors import InputFault, MissionError
+from gcs.mission.consistency import MAX_SPAN_M, check_ids, check_span, check_system_ids
 from gcs.mission.model import (
     MAX_STATIONS,
     GeoPosition,
@@ -30,7 +27,8 @@ from gcs.mission.model import (
     StartState,
     Station,
 )
-from gcs.mission.system_ids import HIGHEST_SYSTEM_ID, LOWEST_SYSTEM_ID, assign_system_ids
+from gcs.mission.system_ids import HIGHEST_SYSTEM_ID, LOWEST_SYSTEM_ID
+from gcs.mission.writing import write_mission
 
 GEO_FIELDS = ("lat_deg", "lon_deg", "alt_amsl_m")
 LOCAL_FIELDS = ("east_m", "north_m", "up_m")
@@ -54,8 +52,6 @@ MISSION_FIELDS = ("name", "origin", "start", "destination", "stations", "limits"
 
 LOWEST_ALT_M, HIGHEST_ALT_M = -1_000.0, 50_000.0
 MAX_RANGE_M = 500_000.0
-# How far anything may be from the start (WGS84) or the origin, per axis (local).
-MAX_SPAN_M = 1_000_000.0
 MAX_SPEED_M_S = 1_000.0
 MAX_TIME_S = 1_000_000.0
 MAX_SAFE_POINTS = 1_000
@@ -77,7 +73,9 @@ def parse_option(text: str) -> tuple[str, object]:
     if not equals or name not in OPTION_FIELDS:
         close = difflib.get_close_matches(name, OPTION_FIELDS, n=1)
         fix = f"did you mean {close[0]}?" if close else "write NAME=VALUE"
-        raise MissionError([Fault(f"options.{name or '?'}", "is not an option", text, ", ".join(OPTION_FIELDS), fix)])
+        raise MissionError(
+            [InputFault(f"options.{name or '?'}", "is not an option", text, ", ".join(OPTION_FIELDS), fix)]
+        )
     try:
         return name, parse_json(value)
     except MissionError:
@@ -110,18 +108,26 @@ def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Missi
     options = MissionOptions()
     if root.has("options"):
         options = _options(root.child("options", OPTION_FIELDS), [s.id for s in stations])
-    _unique_ids("stations", [s.id for s in stations], faults)
-    _unique_ids("safe_points", [p.id for p in safe_points], faults)
-    _check_system_ids(stations, options.vehicle_system_id, faults)
+    check_ids("stations", [s.id for s in stations], faults)
+    check_ids("safe_points", [p.id for p in safe_points], faults)
+    check_system_ids(stations, options.vehicle_system_id, faults)
     excluded = frozenset(options.excluded_stations)
     if stations and all(s.id in excluded for s in stations):
         what, fix = "leaves no station", "leave at least one of them in"
         faults.add("options.excluded_stations", what, list(options.excluded_stations), "not every station", fix)
     if not local and not faults:
-        _check_span(start, destination, stations, safe_points, faults)
+        check_span(start, destination, stations, safe_points, faults)
     if faults:
         raise MissionError(faults)
     return Mission(start, destination, tuple(stations), limits, name, tuple(safe_points), options, origin)
+
+
+def with_options(mission: Mission, changes: Mapping[str, object]) -> Mission:
+    """The same mission with some options (JSON values, by their document names) replaced, and validated again."""
+    document = write_mission(mission)
+    options = document["options"]
+    assert isinstance(options, dict)
+    return read_mission({**document, "options": {**options, **changes}}, max_stations=len(mission.stations))
 
 
 def _refuse_strangers(document: object) -> None:
@@ -129,12 +135,14 @@ def _refuse_strangers(document: object) -> None:
     if not isinstance(document, Mapping):
         return
     if "plan_sha256" in document or "segments" in document:
-        fault = Fault("mission", "is a plan, not a mission", None, "a mission", "give what stands in its field mission")
+        fault = InputFault(
+            "mission", "is a plan, not a mission", None, "a mission", "give what stands in its field mission"
+        )
         raise MissionError([fault])
     if document.get("type") in ("FeatureCollection", "Feature") or document.get("fileType") == "Plan":
         what = "is GeoJSON" if "type" in document else "is a QGroundControl plan"
         fix = "write it as a mission: start, destination, stations, limits"
-        raise MissionError([Fault("mission", f"{what}, not a mission", None, "a mission", fix)])
+        raise MissionError([InputFault("mission", f"{what}, not a mission", None, "a mission", fix)])
 
 
 def _geo(reader: Reader) -> GeoPosition:
@@ -292,120 +300,3 @@ def _start_state(reader: Reader) -> StartState:
         return east, north, up
 
     return StartState(vector("velocity_m_s", "m/s"), vector("acceleration_m_s2", "m/s^2"))
-
-
-def _unique_ids(where: str, ids: list[str], faults: FaultList) -> None:
-    first: dict[str, int] = {}
-    for i, identifier in enumerate(ids):
-        if identifier and first.setdefault(identifier, i) != i:
-            what = f"is the id of {where}[{first[identifier]}] as well"
-            faults.add(f"{where}[{i}].id", what, identifier, "each id once", "rename one of the two")
-    # Ids are spoken over the radio and stand in file names: what differs only in letter case or blanks is one.
-    spoken: dict[str, int] = {}
-    for identifier, i in first.items():
-        word = "".join(unicodedata.normalize("NFKC", identifier).casefold().split())
-        if spoken.setdefault(word, i) != i:
-            what = f"differs only in letter case or blanks from that of {where}[{spoken[word]}], {ids[spoken[word]]}"
-            faults.add(f"{where}[{i}].id", what, identifier, "ids that people can tell apart", "rename one of the two")
-
-
-def _check_system_ids(stations: list[Station], vehicle_id: int, faults: FaultList) -> None:
-    first: dict[int, int] = {}
-    clean = True
-    for i, station in enumerate(stations):
-        if station.system_id is None:
-            continue
-        where = f"stations[{i}].system_id"
-        if station.system_id == vehicle_id:
-            fix = "give another one, or change options.vehicle_system_id"
-            faults.add(where, "is the vehicle's own system id", station.system_id, "another id from 1 to 254", fix)
-            clean = False
-        elif first.setdefault(station.system_id, i) != i:
-            what = f"is the system id of stations[{first[station.system_id]}] as well"
-            faults.add(where, what, station.system_id, "each system id once", "give another one, or leave both out")
-            clean = False
-    given = [s.system_id for s in stations]
-    if clean and first and None in given:
-        # Which stations a plan uses is not known yet; what can be told now is whether a single one more would fit.
-        holders = [i for i, system_id in enumerate(given) if system_id is not None]
-        try:
-            assign_system_ids(given, [*holders, given.index(None)], vehicle_id)
-        except MissionError as error:
-            faults.extend(error.problems)
-
-
-def _check_span(
-    start: Position, destination: Position, stations: list[Station], safe_points: list[SafePoint], faults: FaultList
-) -> None:
-    places: list[tuple[str, Position]] = [("destination", destination)]
-    places += [(f"stations[{i}]", station.position) for i, station in enumerate(stations)]
-    places += [(f"safe_points[{i}]", point.position) for i, point in enumerate(safe_points)]
-    at = np.array([(p.lat_deg, p.lon_deg) for _, p in places if isinstance(p, GeoPosition)])
-    assert isinstance(start, GeoPosition)
-    distance = slant_range_m(start.lat_deg, start.lon_deg, 0.0, at[:, 0], at[:, 1], 0.0)
-    far, allowed = np.flatnonzero(distance > MAX_SPAN_M), f"at most {MAX_SPAN_M / 1000:.0f} km"
-    if len(far) == len(places):
-        # Everything is far from the start: it is the start that is wrong.
-        swapped = abs(start.lon_deg) <= 90.0 and bool(
-            (slant_range_m(start.lon_deg, start.lat_deg, 0.0, at[:, 0], at[:, 1], 0.0) <= MAX_SPAN_M).any()
-        )
-        what = f"is {distance.min() / 1000:.0f} km and more from destination and stations"
-        faults.add("start", what, _shown(start), allowed, _fix_of_place(swapped))
-        return
-    for i in far:
-        lat, lon = at[i]
-        swapped = (
-            abs(lon) <= 90.0 and float(slant_range_m(start.lat_deg, start.lon_deg, 0.0, lon, lat, 0.0)) <= MAX_SPAN_M
-        )
-        what = f"is {distance[i] / 1000:.0f} km from the start"
-        faults.add(places[i][0], what, f"{lat:.6g}, {lon:.6g}", allowed, _fix_of_place(swapped))
-
-
-def _shown(position: GeoPosition) -> str:
-    return f"{position.lat_deg:.6g}, {position.lon_deg:.6g}"
-
-
-def _fix_of_place(swapped: bool) -> str:
-    return "swap lat_deg and lon_deg" if swapped else "check latitude and longitude"
-
-
-def write_mission(mission: Mission) -> dict[str, object]:
-    """The document of a mission, every default filled in; what is None and has no default is left out."""
-    document: dict[str, object] = {"name": mission.name}
-    if mission.origin is not None:
-        document["origin"] = position_document(mission.origin)
-    document["start"] = position_document(mission.start)
-    document["destination"] = position_document(mission.destination)
-    document["stations"] = [_station_document(station) for station in mission.stations]
-    limits = {f.name: getattr(mission.limits, f.name) for f in fields(MissionLimits) if f.name != "wind_m_s"}
-    document["limits"] = {name: value for name, value in limits.items() if value is not None}
-    if mission.limits.wind_m_s is not None:
-        east, north = mission.limits.wind_m_s
-        document["limits"] |= {"wind": {"east_m_s": east, "north_m_s": north}}  # type: ignore[operator]
-    document["safe_points"] = [
-        {"id": point.id, "name": point.name, **position_document(point.position)} for point in mission.safe_points
-    ]
-    options = {f.name: getattr(mission.options, f.name) for f in fields(MissionOptions)}
-    options["excluded_stations"] = list(mission.options.excluded_stations)
-    state = mission.options.start_state
-    if state is not None:
-        options["start_state"] = {
-            "velocity_m_s": list(state.velocity_m_s),
-            "acceleration_m_s2": list(state.acceleration_m_s2),
-        }
-    document["options"] = options
-    return document
-
-
-def position_document(position: Position) -> dict[str, float]:
-    """A position as JSON, by the names of its frame."""
-    return {f.name: getattr(position, f.name) for f in fields(position)}
-
-
-def _station_document(station: Station) -> dict[str, object]:
-    document: dict[str, object] = {"id": station.id, "name": station.name, **position_document(station.position)}
-    for name in ("range_m", "system_id", "contact", "radio_channel", "hours", "min_elevation_deg"):
-        value = getattr(station, name)
-        if value is not None:
-            document[name] = value
-    return document

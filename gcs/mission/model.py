@@ -1,4 +1,4 @@
-"""What is to be flown: a mission, as frozen data. Its JSON form is `gcs.mission.document`.
+"""What is to be flown: a mission, as frozen data. Reading it from JSON is `gcs.mission.document`.
 
 A mission is given in one of two frames. ``"wgs84"``: latitude, longitude and altitude above mean sea level.
 ``"local"``: an origin, and east, north and up in metres of its map plane (`gcs.geodesy.plane.Plane`), used exactly as
@@ -7,7 +7,7 @@ they are. Limits are above mean sea level in both.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from gcs.mission.system_ids import assign_system_ids
@@ -148,26 +148,6 @@ class Mission:
             if station.id == station_id:
                 return index
         raise KeyError(station_id)
-
-    @classmethod
-    def from_document(cls, document: object, *, max_stations: int = MAX_STATIONS) -> Mission:
-        """The mission of a JSON document; raises `MissionError` with every fault found."""
-        from gcs.mission.document import read_mission  # here, since that module builds these classes
-
-        return read_mission(document, max_stations=max_stations)
-
-    def to_document(self) -> dict[str, object]:
-        """The JSON document, with every default filled in."""
-        from gcs.mission.document import write_mission
-
-        return write_mission(self)
-
-    def with_options(self, changes: Mapping[str, object]) -> Mission:
-        """The same mission with some options (JSON values, by their document names) replaced, and validated again."""
-        document = self.to_document()
-        options = document["options"]
-        assert isinstance(options, dict)
-        return Mission.from_document({**document, "options": {**options, **changes}}, max_stations=len(self.stations))
 
     def with_system_ids(self, used: Sequence[int]) -> Mission:
         """Every station of ``used`` (indices, in flight order) has a system id; see `assign_system_ids`."""

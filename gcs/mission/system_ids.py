@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gcs.errors import Fault, MissionError
+from gcs.errors import InputFault, MissionError
 
 # MAVLink system ids run from 1 to 255; 255 is what ground-station programs come with, and 0 is everybody.
 LOWEST_SYSTEM_ID, HIGHEST_SYSTEM_ID = 1, 254
@@ -44,10 +44,10 @@ def assign_system_ids(given: Sequence[int | None], used: Sequence[int], vehicle_
     if len(used) > room:
         what = f"{len(used)} are flown, and system ids tell no more than {room} apart"
         fix = "lower max_handovers, or fly it as several missions"
-        raise MissionError([Fault("stations", what, len(used), f"at most {room} in one flight", fix)])
+        raise MissionError([InputFault("stations", what, len(used), f"at most {room} in one flight", fix)])
     raise MissionError(
         [
-            Fault(
+            InputFault(
                 "stations",
                 f"no contiguous range of system ids holds those given and has room for the {len(missing)} missing",
                 held or None,

@@ -1,4 +1,4 @@
-"""What to do when the flight cannot go on: for every span of the mission, one way out that stays covered.
+"""What to do when the flight cannot go on: for every span of the mission, one diversion that stays covered.
 
 Two ways are compared. ``"divert"``: at once level and straight to a safe point, then down over it. ``"return"``: back
 along the path flown, which is covered by the stations that covered it before, to the start or to where a covered way
@@ -8,7 +8,8 @@ every minute.
 
 Coverage of a straight way is exact: each station covers one interval of it (a ball cuts a line in one piece), and the
 intervals must join from end to end. A span of time is judged at its middle with every range less the way the vehicle
-may be off from there, which covers all of the span. Range margins are not taken off: this is the way out, not the plan.
+may be off from there, which covers all of the span. Range margins are not taken off: this is the way out, not the
+plan.
 """
 
 from __future__ import annotations
@@ -16,14 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gcs.layout.mission_geometry import Ground
+from gcs.layout.mission_geometry import MissionGeometry
 from gcs.layout.straight_coverage import Cover
-from gcs.plan.failsafe_return import MOST_CELLS, OwnReturn, ReturnRules, cells, cruise_speed_m_s, own_returns
+from gcs.plan.failsafe_return import MOST_CELLS, FailsafeReturn, ReturnRules, cells, cruise_speed_m_s, failsafe_returns
 from planner import Trajectory
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags, Indices
 
 _NEAREST = 8
 _SLOWER, _LATER_S = 1.3, 10.0
@@ -38,8 +37,9 @@ class Contingency:
     return follows the path back to where it was at ``leave_path_s``, and goes straight to the safe point from there;
     None: back to the start. ``covered`` says that the whole way is in range. ``straight_home_covered`` says whether the
     straight line back to the start is: that is where an autopilot's own failsafe goes that knows no rally points.
-    ``own_return_covered`` says it of one that knows the mission's safe points (`gcs.plan.failsafe_return`, at the
-    height of the path), ``own_return_s`` how long that takes at most; None in plans made before these were worked out.
+    ``failsafe_return_covered`` says it of one that knows the mission's safe points (`gcs.plan.failsafe_return`, at the
+    height of the path), ``failsafe_return_s`` how long that takes at most; None in plans made before these were worked
+    out. The document calls them ``own_return_covered`` and ``own_return_s``.
     """
 
     from_s: float
@@ -50,12 +50,12 @@ class Contingency:
     duration_s: float
     straight_home_covered: bool
     leave_path_s: float | None = None
-    own_return_covered: bool | None = None
-    own_return_s: float | None = None
+    failsafe_return_covered: bool | None = None
+    failsafe_return_s: float | None = None
 
     def to_document(self) -> dict[str, object]:
         """As in the plan document."""
-        own = {"own_return_covered": self.own_return_covered, "own_return_s": self.own_return_s}
+        own = {"own_return_covered": self.failsafe_return_covered, "own_return_s": self.failsafe_return_s}
         return {
             "from_s": self.from_s,
             "to_s": self.to_s,
@@ -69,10 +69,10 @@ class Contingency:
         }
 
 
-def contingencies(ground: Ground, trajectory: Trajectory) -> tuple[Contingency, ...]:
-    """The ways out of a trajectory, in order of time, from 0 to the mission time without gaps."""
-    mission, limits = ground.mission, ground.mission.limits
-    points = ground.enu_m([p.position for p in mission.safe_points])
+def contingencies(geometry: MissionGeometry, trajectory: Trajectory) -> tuple[Contingency, ...]:
+    """The contingencies of a trajectory, in order of time, from 0 to the mission time without gaps."""
+    mission, limits = geometry.mission, geometry.mission.limits
+    points = geometry.enu_m([p.position for p in mission.safe_points])
     station_count = len(mission.stations) * (1 + min(len(points), _NEAREST))
     most = int(np.clip(400_000 // station_count, 20, MOST_CELLS))
     edges = cells(trajectory, most)
@@ -90,7 +90,7 @@ def contingencies(ground: Ground, trajectory: Trajectory) -> tuple[Contingency, 
     over = np.concatenate([points[nearest], home], axis=1) if len(points) else home.copy()
     down = over.copy()
     over[..., 2] = at[:, None, 2]
-    ways = Cover(ground, off_m)
+    ways = Cover(geometry, off_m)
     level = ways.holds(np.broadcast_to(at[:, None], over.shape), over)
     covered = level[:, :-1] & ways.holds(over[:, :-1], down[:, :-1])
     length = np.linalg.norm(over - at[:, None], axis=-1)[:, :-1] + off_m
@@ -99,7 +99,7 @@ def contingencies(ground: Ground, trajectory: Trajectory) -> tuple[Contingency, 
     diverts = [{int(nearest[k, j]): float(duration[k, j]) for j in np.flatnonzero(covered[k])} for k in range(count)]
     returns = _returns(diverts, _flown_m(trajectory, edges) / speed, turn_s)
     chosen = _choose(diverts, returns)
-    spans = _spans(ground, edges, chosen, level[:, -1], _at_start(ground, points, trajectory))
+    spans = _spans(geometry, edges, chosen, level[:, -1], _at_start(geometry, points, trajectory))
     start_m = trajectory.evaluate(0.0)
     rules = ReturnRules(
         home_enu_m=(float(start_m[0]), float(start_m[1]), float(start_m[2])),
@@ -107,24 +107,24 @@ def contingencies(ground: Ground, trajectory: Trajectory) -> tuple[Contingency, 
         speed_m_s=speed,
         sink_m_s=sink,
     )
-    by_itself = own_returns(ground, trajectory, rules, most)
-    return tuple(_with_own_return(span, by_itself) for span in spans)
+    by_itself = failsafe_returns(geometry, trajectory, rules, most)
+    return tuple(_with_failsafe_return(span, by_itself) for span in spans)
 
 
 def _tuple(at_m: Array) -> tuple[float, float, float]:
     return float(at_m[0]), float(at_m[1]), float(at_m[2])
 
 
-def _with_own_return(span: Contingency, by_itself: tuple[OwnReturn, ...]) -> Contingency:
+def _with_failsafe_return(span: Contingency, by_itself: tuple[FailsafeReturn, ...]) -> Contingency:
     during = [way for way in by_itself if way.from_s < span.to_s and way.to_s > span.from_s]
     return replace(
         span,
-        own_return_covered=all(way.covered for way in during),
-        own_return_s=max(way.duration_s for way in during),
+        failsafe_return_covered=all(way.covered for way in during),
+        failsafe_return_s=max(way.duration_s for way in during),
     )
 
 
-def _nearest(at: Array, points: Array) -> NDArray[np.int64]:
+def _nearest(at: Array, points: Array) -> Indices:
     """``(cells, k)``: the nearest safe points of each cell."""
     if not len(points):
         return np.empty((len(at), 0), dtype=np.int64)
@@ -140,12 +140,12 @@ def _flown_m(trajectory: Trajectory, edges: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])[::16]
 
 
-def _at_start(ground: Ground, points: Array, trajectory: Trajectory) -> str | None:
+def _at_start(geometry: MissionGeometry, points: Array, trajectory: Trajectory) -> str | None:
     if not len(points):
         return None
     distance = np.linalg.norm(points[:, :2] - trajectory.evaluate(0.0)[:2], axis=1)
     near = int(distance.argmin())
-    return ground.mission.safe_points[near].id if distance[near] <= _AT_START_M else None
+    return geometry.mission.safe_points[near].id if distance[near] <= _AT_START_M else None
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _returns(diverts: list[dict[int, float]], flown_s: Array, turn_s: float) -> 
 
 
 def _choose(diverts: list[dict[int, float]], returns: list[tuple[_Way, float]]) -> list[tuple[_Way, float]]:
-    """The way out of every cell, and how long it takes."""
+    """The diversion of every cell, and how long it takes."""
     chosen: list[tuple[_Way, float]] = []
     for ways_of_cell, (back, back_s) in zip(diverts, returns, strict=True):
         ways = {_Way("divert", point): seconds for point, seconds in sorted(ways_of_cell.items())} | {back: back_s}
@@ -182,10 +182,10 @@ def _choose(diverts: list[dict[int, float]], returns: list[tuple[_Way, float]]) 
 
 
 def _spans(
-    ground: Ground,
+    geometry: MissionGeometry,
     edges: Array,
     chosen: list[tuple[_Way, float]],
-    home_covered: NDArray[np.bool_],
+    home_covered: Flags,
     home_point: str | None,
 ) -> tuple[Contingency, ...]:
     result: list[Contingency] = []
@@ -199,7 +199,7 @@ def _spans(
                 from_s=float(edges[begin]),
                 to_s=float(edges[k]),
                 action=way.action,
-                safe_point=home_point if way.point is None else ground.mission.safe_points[way.point].id,
+                safe_point=home_point if way.point is None else geometry.mission.safe_points[way.point].id,
                 covered=True,
                 duration_s=max(seconds for _, seconds in chosen[begin:k]),
                 straight_home_covered=bool(home_covered[begin:k].all()),

@@ -10,7 +10,7 @@ import numpy as np
 from gcs.document_reader import FaultList, Reader
 from gcs.errors import MissionError, PlanError
 from gcs.geodesy.plane import Plane
-from gcs.mission.model import Mission
+from gcs.mission.document import read_mission
 from gcs.plan.contingency import Contingency
 from gcs.plan.handover_schedule import Handover
 from gcs.plan.model import PROJECTION, OptionCost, Plan, hash_of
@@ -56,7 +56,7 @@ def read_plan(document: object) -> Plan:
     if claimed != actual:
         raise PlanError(f"does not fit the document, whose hash is {actual}: it was altered", "plan_sha256")
     try:
-        mission = Mission.from_document(document["mission"], max_stations=MAX_STATIONS)
+        mission = read_mission(document["mission"], max_stations=MAX_STATIONS)
     except MissionError as error:
         first = error.problems[0]
         raise PlanError(f"{first.what}; {error}", f"mission.{first.where}") from None
@@ -201,8 +201,8 @@ def _read_contingencies(root: Reader, safe_points: set[str], faults: FaultList) 
                 duration_s=at.number("duration_s", 0.0, _BIG, "s"),
                 straight_home_covered=at.data.get("straight_home_covered") is True,
                 leave_path_s=at.optional_number("leave_path_s", 0.0, _BIG, "s"),
-                own_return_covered=own_covered if isinstance(own_covered, bool) else None,
-                own_return_s=at.optional_number("own_return_s", 0.0, _BIG, "s"),
+                failsafe_return_covered=own_covered if isinstance(own_covered, bool) else None,
+                failsafe_return_s=at.optional_number("own_return_s", 0.0, _BIG, "s"),
             )
         )
     return tuple(result)

@@ -12,14 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gcs.layout.mission_geometry import Ground
+from gcs.layout.mission_geometry import MissionGeometry
 from gcs.layout.straight_coverage import Cover
 from gcs.mission.model import MissionLimits
 from planner import Trajectory
+from planner.arrays import Array
 
-Array = NDArray[np.float64]
 Place = tuple[float, float, float]
 Target = tuple[float, str | None, Place]
 """Distance over ground, a rally point's id (None: home), its place."""
@@ -48,7 +47,7 @@ class ReturnRules:
 
 
 @dataclass(frozen=True)
-class OwnReturn:
+class FailsafeReturn:
     """A return begun between ``from_s`` and ``to_s``: where to (a rally point's id, None: home), how long it takes.
 
     ``covered``: the whole way is in somebody's range. ``duration_s`` is the longest from anywhere in the span.
@@ -75,9 +74,9 @@ def cells(trajectory: Trajectory, most: int = MOST_CELLS) -> Array:
     return np.linspace(0.0, trajectory.duration_s, count + 1)
 
 
-def own_returns(
-    ground: Ground, trajectory: Trajectory, rules: ReturnRules, most: int = MOST_CELLS
-) -> tuple[OwnReturn, ...]:
+def failsafe_returns(
+    geometry: MissionGeometry, trajectory: Trajectory, rules: ReturnRules, most: int = MOST_CELLS
+) -> tuple[FailsafeReturn, ...]:
     """The returns of a flight, in order of time, from 0 to the mission time without gaps.
 
     A span is judged at its middle with every range less the way the vehicle may be off from there, and for every place
@@ -85,9 +84,9 @@ def own_returns(
     """
     edges = cells(trajectory, most)
     at = trajectory.evaluate(0.5 * (edges[:-1] + edges[1:]))
-    off_m = 0.5 * float(edges[1] - edges[0]) * ground.mission.limits.max_speed_m_s
-    cover = Cover(ground, off_m)
-    turn_s = 2.0 * rules.speed_m_s / ground.mission.limits.max_accel_m_s2
+    off_m = 0.5 * float(edges[1] - edges[0]) * geometry.mission.limits.max_speed_m_s
+    cover = Cover(geometry, off_m)
+    turn_s = 2.0 * rules.speed_m_s / geometry.mission.limits.max_accel_m_s2
     ways = [_ways(here, off_m, rules) for here in at]
     legs = np.concatenate([way for of_cell in ways for _, way in of_cell])
     first = np.cumsum([0] + [3 * len(of_cell) for of_cell in ways[:-1]])
@@ -95,7 +94,7 @@ def own_returns(
     result = []
     for k, of_cell in enumerate(ways):
         longest_s = max(_duration_s(way, off_m, rules) for _, way in of_cell) + turn_s
-        result.append(OwnReturn(float(edges[k]), float(edges[k + 1]), of_cell[0][0], bool(covered[k]), longest_s))
+        result.append(FailsafeReturn(float(edges[k]), float(edges[k + 1]), of_cell[0][0], bool(covered[k]), longest_s))
     return tuple(_merged(result))
 
 
@@ -132,14 +131,14 @@ def _duration_s(way: Array, off_m: float, rules: ReturnRules) -> float:
     return float(length_m[0]) / rules.climb_m_s + across_s + float(length_m[2]) / rules.sink_m_s
 
 
-def _merged(returns: Sequence[OwnReturn]) -> list[OwnReturn]:
+def _merged(returns: Sequence[FailsafeReturn]) -> list[FailsafeReturn]:
     """Neighbours that lead to the same place, alike covered, as one."""
-    merged: list[OwnReturn] = []
+    merged: list[FailsafeReturn] = []
     for one in returns:
         last = merged[-1] if merged else None
         if last is not None and (last.to, last.covered) == (one.to, one.covered):
             longest_s = max(last.duration_s, one.duration_s)
-            merged[-1] = OwnReturn(last.from_s, one.to_s, one.to, one.covered, longest_s)
+            merged[-1] = FailsafeReturn(last.from_s, one.to_s, one.to, one.covered, longest_s)
         else:
             merged.append(one)
     return merged

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import elementwise
 
-from gcs.layout.mission_geometry import Ground
+from gcs.layout.mission_geometry import MissionGeometry
 from planner import Trajectory
-from planner.coverage import Stations, coverage_windows
+from planner.coverage import ElevationMask, Stations, coverage_windows
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ class Handover:
         }
 
 
-def schedule(ground: Ground, trajectory: Trajectory) -> tuple[Handover, ...]:
+def schedule(geometry: MissionGeometry, trajectory: Trajectory) -> tuple[Handover, ...]:
     """Every handover of a trajectory whose station indices are those of the mission."""
     times = trajectory.handover_times_s
     if not len(times):
@@ -72,16 +72,16 @@ def schedule(ground: Ground, trajectory: Trajectory) -> tuple[Handover, ...]:
     sequence = np.array(trajectory.sequence)
     before, after = sequence[:-1], sequence[1:]
     # The windows of both stations around every handover, from-stations first.
-    early, late = _windows(ground, trajectory, np.concatenate([before, after]), np.concatenate([times, times]))
+    early, late = _windows(geometry, trajectory, np.concatenate([before, after]), np.concatenate([times, times]))
     count = len(times)
     start = np.maximum(early[:count], early[count:])
     end = np.minimum(late[:count], late[count:])
     place = trajectory.evaluate(times)
-    lat, lon, speed, course = _motion(ground, place, trajectory.evaluate(times, 1))
-    left_from = ground.full_ranges_m[before] - ground.true_range_m(before, place)
-    left_to = ground.full_ranges_m[after] - ground.true_range_m(after, place)
-    altitude = ground.plane.altitude_amsl_m(place[:, 2])
-    ids = [station.id for station in ground.mission.stations]
+    lat, lon, speed, course = _motion(geometry, place, trajectory.evaluate(times, 1))
+    left_from = geometry.full_ranges_m[before] - geometry.true_range_m(before, place)
+    left_to = geometry.full_ranges_m[after] - geometry.true_range_m(after, place)
+    altitude = geometry.plane.altitude_amsl_m(place[:, 2])
+    ids = [station.id for station in geometry.mission.stations]
     return tuple(
         Handover(
             index=k + 1,
@@ -102,51 +102,58 @@ def schedule(ground: Ground, trajectory: Trajectory) -> tuple[Handover, ...]:
     )
 
 
-def _motion(ground: Ground, place: Array, velocity: Array) -> tuple[Array, Array, Array, Array]:
+def _motion(geometry: MissionGeometry, place: Array, velocity: Array) -> tuple[Array, Array, Array, Array]:
     """Latitude, longitude, speed and true course at plane points ``(N, 3)``."""
-    altitude = ground.plane.altitude_amsl_m(place[:, 2])
-    lat, lon, axes = ground.plane.geodetic_and_axes(place[:, 0], place[:, 1], altitude)
+    altitude = geometry.plane.altitude_amsl_m(place[:, 2])
+    lat, lon, axes = geometry.plane.geodetic_and_axes(place[:, 0], place[:, 1], altitude)
     true = np.einsum("nij,nj->ni", axes, velocity[:, :2])
     flat = np.hypot(true[:, 0], true[:, 1])
     course = np.where(flat > 1e-6, np.degrees(np.arctan2(true[:, 0], true[:, 1])) % 360.0, 0.0)
     course[course >= 360.0] = 0.0
-    speed = np.linalg.norm(velocity, axis=1) if ground.is_local else np.hypot(flat, velocity[:, 2])
+    speed = np.linalg.norm(velocity, axis=1) if geometry.is_local else np.hypot(flat, velocity[:, 2])
     return lat, lon, speed, course
 
 
-def _windows(ground: Ground, trajectory: Trajectory, stations: NDArray[np.int64], times: Array) -> tuple[Array, Array]:
+def _windows(
+    geometry: MissionGeometry, trajectory: Trajectory, stations: NDArray[np.int64], times: Array
+) -> tuple[Array, Array]:
     """The longest spans around ``times`` in which each of ``stations`` truly covers the vehicle."""
-    at, lowest = ground.stations_enu_m, ground.min_elevations_deg
-    full = ground.full_ranges_m
+    at, lowest = geometry.stations_enu_m, geometry.min_elevations_deg
+    full = geometry.full_ranges_m
 
     def around(radius: Array, *, cone: bool) -> tuple[Array, Array]:
-        angles = lowest[stations] if cone else None
-        covering = Stations(at[stations], radius[stations], angles)
+        mask = ElevationMask(lowest[stations]) if cone else None
+        covering = Stations(at[stations], radius[stations], mask)
         return coverage_windows(trajectory, covering, times, slack_m=_ROUNDING_M)
 
-    if ground.is_local:
+    if geometry.is_local:
         return around(full, cone=True)
-    early, late = around(ground.inner_ranges_m(full), cone=False)
-    sooner, later = around(ground.outer_ranges_m(full), cone=False)
-    late = _first_outside(ground, trajectory, stations, late, np.maximum(later, late), _LOOKS)
-    early = _first_outside(ground, trajectory, stations, early, np.minimum(sooner, early), _LOOKS)
+    early, late = around(geometry.inner_ranges_m(full), cone=False)
+    sooner, later = around(geometry.outer_ranges_m(full), cone=False)
+    late = _first_outside(geometry, trajectory, stations, late, np.maximum(later, late), _LOOKS)
+    early = _first_outside(geometry, trajectory, stations, early, np.minimum(sooner, early), _LOOKS)
     which = np.flatnonzero(lowest[stations] > -90)
     if len(which):
         looks = 2 + int(trajectory.duration_s / _ELEVATION_STEP_S)
-        late[which] = _first_outside(ground, trajectory, stations[which], times[which], late[which], looks)
-        early[which] = _first_outside(ground, trajectory, stations[which], times[which], early[which], looks)
+        late[which] = _first_outside(geometry, trajectory, stations[which], times[which], late[which], looks)
+        early[which] = _first_outside(geometry, trajectory, stations[which], times[which], early[which], looks)
     return early, late
 
 
 def _first_outside(
-    ground: Ground, trajectory: Trajectory, stations: NDArray[np.int64], from_s: Array, to_s: Array, looks: int
+    geometry: MissionGeometry,
+    trajectory: Trajectory,
+    stations: NDArray[np.int64],
+    from_s: Array,
+    to_s: Array,
+    looks: int,
 ) -> Array:
     """Going from ``from_s`` to ``to_s``: where coverage is first lost, ``to_s`` where it never is.
 
     ``from_s`` itself where there is none there: in range, but too low over the horizon.
     """
     grid = from_s[:, None] + (to_s - from_s)[:, None] * np.linspace(0.0, 1.0, looks)
-    lost = ground.outside_m(stations[:, None], trajectory.evaluate(grid)) > 0
+    lost = geometry.outside_m(stations[:, None], trajectory.evaluate(grid)) > 0
     result = np.where(lost[:, 0], from_s, to_s)
     which = np.flatnonzero(lost.any(axis=1) & ~lost[:, 0])
     if len(which):
@@ -154,7 +161,7 @@ def _first_outside(
         a, b = grid[which, first - 1], grid[which, first]
 
         def outside(time: Array, station: Array) -> Array:
-            return ground.outside_m(station.astype(np.int64), trajectory.evaluate(time))
+            return geometry.outside_m(station.astype(np.int64), trajectory.evaluate(time))
 
         found = elementwise.find_root(
             outside, (a, b), args=(stations[which].astype(float),), tolerances={"xatol": 1e-10, "fatol": 1e-9}

@@ -1,7 +1,8 @@
 """A plan: the curve with its names, its places on the earth, its schedule and its proof. One self-contained document.
 
-`Plan.from_document` and `Plan.to_document` are inverse to one another, to the last digit, and the hash of the document
-(RFC 8785 form, without itself, ``solve_time_s`` and ``created_utc``) tells one plan from another wherever it turns up.
+`gcs.plan.document.read_plan` and `Plan.to_document` are inverse to one another, to the last digit, and the hash of the
+document (RFC 8785 form, without itself, ``solve_time_s`` and ``created_utc``) tells one plan from another wherever it
+turns up.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import rfc8785
 
 from gcs.errors import PlanError
 from gcs.geodesy.plane import Plane
-from gcs.layout.mission_geometry import Ground
+from gcs.layout.mission_geometry import MissionGeometry
 from gcs.mission.model import Mission, Station
+from gcs.mission.writing import write_mission
 from gcs.plan.contingency import Contingency
 from gcs.plan.handover_schedule import Handover
 from planner import Certificate, Trajectory
@@ -69,9 +71,9 @@ class Plan:
         return self.trajectory.duration_s
 
     @cached_property
-    def ground(self) -> Ground:
+    def geometry(self) -> MissionGeometry:
         """Mission and plane together, to measure with."""
-        return Ground(self.mission, self.plane)
+        return MissionGeometry(self.mission, self.plane)
 
     @cached_property
     def station_ids(self) -> tuple[str, ...]:
@@ -107,7 +109,7 @@ class Plan:
                 "iterations": self.iterations,
                 "notes": list(self.notes),
             },
-            "mission": self.mission.to_document(),
+            "mission": write_mission(self.mission),
             "mission_time_s": self.mission_time_s,
             "path_length_m": self.path_length_m,
             "lower_bound_s": self.lower_bound_s,
@@ -134,13 +136,6 @@ class Plan:
             "certificate": {"feasible": self.certificate.feasible, "worst": dict(self.certificate.worst)},
             **({"costs": [asdict(cost) for cost in self.costs]} if self.costs else {}),
         }
-
-    @classmethod
-    def from_document(cls, document: object) -> Plan:
-        """The plan of a document; raises `PlanError` when its shape or its hash is not right."""
-        from gcs.plan.document import read_plan  # here, since that module builds this class
-
-        return read_plan(document)
 
 
 def hash_of(document: Mapping[str, object]) -> str:

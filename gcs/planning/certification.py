@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from gcs.errors import PlanningFailed
-from gcs.layout.planning_problem import LaidOut, lay_out
+from gcs.layout.planning_problem import PlanningProblem, lay_out
 from gcs.plan.model import Plan
 from planner import Certificate, Solution, Trajectory, certify
+from planner.coverage import ElevationMask
 from planner.routing import lower_bound
 
 
-def certify_true(laid: LaidOut, trajectory: Trajectory) -> Certificate:
+def certify_true(laid: PlanningProblem, trajectory: Trajectory) -> Certificate:
     """The certificate of a trajectory (station indices of ``laid.problem``), with true ranges and speeds.
 
     ``range_m`` is the excess over the full range, of the larger of true range and its bound
@@ -21,17 +22,17 @@ def certify_true(laid: LaidOut, trajectory: Trajectory) -> Certificate:
     on the curve. ``range_margin_m`` is the same over the range less the margin asked for. In a WGS84 mission
     ``speed_m_s`` is that at the top of the altitude band.
     """
-    problem, ground = laid.problem, laid.ground
+    problem, geometry = laid.problem, laid.geometry
     # Minus infinity: a limit none of the stations flown has.
     worst = {name: value for name, value in certify(problem, trajectory).worst.items() if value > -np.inf}
     worst["plane_range_m"] = worst.pop("range_m")
     stations = laid.stations[trajectory.station_index][:, None]
     points = trajectory.control_points_m
-    reach = np.maximum(ground.true_range_m(stations, points), ground.range_bound_m(stations, points))
-    excess = float((reach - ground.full_ranges_m[stations]).max())
-    margin = ground.mission.options.range_margin_m
-    limits = ground.mission.limits
-    if not ground.is_local:
+    reach = np.maximum(geometry.true_range_m(stations, points), geometry.range_bound_m(stations, points))
+    excess = float((reach - geometry.full_ranges_m[stations]).max())
+    margin = geometry.mission.options.range_margin_m
+    limits = geometry.mission.limits
+    if not geometry.is_local:
         k = limits.max_speed_m_s / problem.limits.max_speed_m_s
         worst["speed_m_s"] = (worst["speed_m_s"] + problem.limits.max_speed_m_s) * k - limits.max_speed_m_s
         # Undo one rounding of the product above, never more.
@@ -39,7 +40,7 @@ def certify_true(laid: LaidOut, trajectory: Trajectory) -> Certificate:
             worst["speed_m_s"] = 0.0
     first = {"range_m": excess}
     if margin > 0:
-        first["range_margin_m"] = float((reach - (ground.full_ranges_m[stations] - margin)).max())
+        first["range_margin_m"] = float((reach - (geometry.full_ranges_m[stations] - margin)).max())
     return Certificate({**first, **worst})
 
 
@@ -54,17 +55,17 @@ def recertify(plan: Plan) -> Certificate:
     return certify_true(laid, Trajectory(plan.trajectory.control_points_m, plan.trajectory.durations_s, stations))
 
 
-def _lower_bound_s(laid: LaidOut, solution: Solution) -> float:
+def _lower_bound_s(laid: PlanningProblem, solution: Solution) -> float:
     """The solution's bound, or one of its own where elevation or wind are corrected for the projection."""
-    limits = laid.ground.mission.limits
+    limits = laid.geometry.mission.limits
     problem = laid.problem
-    if laid.ground.is_local or (problem.min_elevation_deg is None and problem.limits.max_airspeed_m_s is None):
+    if laid.geometry.is_local or (problem.min_elevation_deg is None and problem.limits.max_airspeed_m_s is None):
         return solution.lower_bound_s
     wider = problem.limits
     if limits.max_airspeed_m_s is not None and wider.max_airspeed_m_s is not None:
         taken_off = limits.max_airspeed_m_s - wider.max_airspeed_m_s
         wider = replace(wider, max_airspeed_m_s=(limits.max_airspeed_m_s + taken_off) * problem.bound_speed_factor)
-    lowest = laid.ground.min_elevations_deg[laid.stations]
+    lowest = laid.geometry.min_elevations_deg[laid.stations]
     # What truly is above e shows in the plane above e less 0.1 degree (deflection of the vertical, stretch).
-    lowest = np.where(lowest > 0.1, lowest - 0.1, -90.0)
+    lowest = np.where(lowest > 0.1, lowest - 0.1, ElevationMask.none(len(lowest)).lowest_deg)
     return lower_bound(replace(problem, limits=wider, min_elevation_deg=lowest)).time_s

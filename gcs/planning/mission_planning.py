@@ -11,9 +11,6 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gcs.errors import PlanningFailed
 from gcs.geodesy.plane import Plane
 from gcs.mission.model import Mission
@@ -25,7 +22,6 @@ from gcs.planning.solve import PlannerLike, laid_out, solve
 from gcs.timestamps import utc_text
 from planner import Method, Planner, Trajectory
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 
@@ -72,16 +68,16 @@ def plan_mission(
         raise PlanningFailed(f"the plan made by {solution.method} fails its own certificate: {certificate.broken}")
     curve = Trajectory(trajectory.control_points_m, trajectory.durations_s, laid.stations[trajectory.station_index])
     named = mission.with_system_ids(curve.sequence)
-    ground = laid.ground.renamed(named)
+    geometry = laid.geometry.renamed(named)
     remarks = [*notes, *solution.notes]
     if time_limit_s is not None:
         remarks.append(f"planned within a time limit of {time_limit_s:g} s: another machine may plan otherwise")
     plan = Plan(
         mission=named,
         trajectory=curve,
-        plane=ground.plane,
-        handovers=schedule(ground, curve),
-        contingencies=contingencies(ground, curve),
+        plane=geometry.plane,
+        handovers=schedule(geometry, curve),
+        contingencies=contingencies(geometry, curve),
         certificate=certificate,
         lower_bound_s=_lower_bound_s(laid, solution),
         path_length_m=curve.path_length_m(),

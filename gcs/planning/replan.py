@@ -2,8 +2,8 @@
 
 The new plan is the whole flight again: the old curve up to the join, then a new one that takes position, velocity
 and acceleration over from it. Until the join both plans ask for the same, so a flight may change from one to the other
-at any moment before it and misses nothing; T+, the handovers flown and their numbers stay; the ways out lead back along
-what was truly flown; and certificate and schedule are measured on the whole.
+at any moment before it and misses nothing; T+, the handovers flown and their numbers stay; the contingencies lead back
+along what was truly flown; and certificate and schedule are measured on the whole.
 
 A flight that stands on its path cannot take over a velocity. Its new plan brakes on the path behind it, comes to rest
 where the flight stands, and goes on from there. A flight that waits for a station stands at the very end of the
@@ -19,19 +19,20 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible
+from gcs.mission.document import read_mission, with_options
 from gcs.mission.model import LocalPosition, Mission, Position, StartState
+from gcs.mission.writing import write_mission
 from gcs.plan.contingency import contingencies
+from gcs.plan.document import read_plan
 from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
 from gcs.planning.certification import recertify
 from gcs.planning.mission_planning import Progress, plan_mission
 from gcs.planning.solve import PlannerLike
 from planner import Method, Trajectory, bezier
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Indices
 
 QUINTIC = 5
 LEAST_LEFT_S = 1.0
@@ -85,15 +86,15 @@ class ReplanOrder:
 
     def execute(self, **how: Any) -> Replanned:
         """`replan` as ordered; raises `PlanError` and `MissionError` too, for a plan or destination that is none."""
-        plan = Plan.from_document(self.plan)
+        plan = read_plan(self.plan)
         mission = plan.mission
         if self.destination is not None or self.excluded_stations is not None:
-            document = mission.to_document()
+            document = write_mission(mission)
             if self.destination is not None:
                 document["destination"] = dict(self.destination)
-            mission = Mission.from_document(document, max_stations=max(1, len(mission.stations)))
+            mission = read_mission(document, max_stations=max(1, len(mission.stations)))
             if self.excluded_stations is not None:
-                mission = mission.with_options({"excluded_stations": list(self.excluded_stations)})
+                mission = with_options(mission, {"excluded_stations": list(self.excluded_stations)})
         return replan(
             plan,
             self.join_s,
@@ -212,13 +213,13 @@ def _continuation(
     elapsed_s: float | None,
 ) -> Mission:
     """The mission from the join on, its start in motion (true axes in a WGS84 mission) unless ``at_rest``."""
-    mission, curve, ground = plan.mission, plan.trajectory, plan.ground
+    mission, curve, geometry = plan.mission, plan.trajectory, plan.geometry
     place, velocity, acceleration = (np.array(curve.evaluate(join_s, order)) for order in (0, 1, 2))
     start: Position
-    if ground.is_local:
+    if geometry.is_local:
         start = LocalPosition(float(place[0]), float(place[1]), float(place[2]))
     else:
-        start = ground.geo(place)
+        start = geometry.geo(place)
         axes = plan.plane.true_axes(place[0], place[1], plan.plane.altitude_amsl_m(place[2]))
         velocity[:2], acceleration[:2] = axes @ velocity[:2], axes @ acceleration[:2]
     state = None
@@ -229,7 +230,7 @@ def _continuation(
         left_s = limits.endurance_s - (join_s if elapsed_s is None else elapsed_s)
         if left_s <= (limits.reserve_s or 0.0):
             raise MissionInfeasible(
-                "endurance", "Nothing is left of the endurance at the join.", fix_text="Fly the contingency."
+                "endurance", "Nothing is left of the endurance at the join.", fix_text="Fly the contingency procedure."
             )
         limits = replace(limits, endurance_s=left_s)
     options = replace(mission.options, start_state=state, excluded_stations=tuple(excluded), arrival_s=None)
@@ -263,7 +264,7 @@ def _clear_of_joints(curve: Trajectory, time_s: float) -> tuple[float, float]:
     return knot_s, min(knot_s + LEAST_PIECE_S, float(curve.knots_s[before + 1]))
 
 
-def _until(curve: Trajectory, time_s: float) -> tuple[Array, Array, NDArray[np.int64]]:
+def _until(curve: Trajectory, time_s: float) -> tuple[Array, Array, Indices]:
     """Control points, durations and stations of a curve up to a time of it."""
     parts = curve.split([time_s])
     count = int(np.searchsorted(parts.knots_s, time_s + _SAME_S, side="right")) - 1
@@ -368,7 +369,7 @@ def _braking(curve: Trajectory, begin_s: float, stand_s: float, lasts_s: float, 
     return bezier.elevate(points, degree), np.full(count, each_s)
 
 
-def _nothing(degree: int) -> tuple[Array, Array, NDArray[np.int64]]:
+def _nothing(degree: int) -> tuple[Array, Array, Indices]:
     return np.empty((0, degree + 1, 3)), np.empty(0), np.empty(0, dtype=np.int64)
 
 
@@ -404,7 +405,7 @@ def _whole(plan: Plan, rest: Plan, curve: Trajectory, join_s: float) -> Plan | M
             f"A new curve was found, but it cannot be joined on at {join_s:.1f} s of the plan: it breaks {broken}.",
             "Replan from another moment, or hold first.",
         )
-    ground = made.ground
+    geometry = made.geometry
     return replace(
-        made, certificate=certificate, handovers=schedule(ground, curve), contingencies=contingencies(ground, curve)
+        made, certificate=certificate, handovers=schedule(geometry, curve), contingencies=contingencies(geometry, curve)
     )

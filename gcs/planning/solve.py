@@ -11,7 +11,7 @@ import numpy as np
 
 from gcs.errors import MissionInfeasible, PlanningFailed
 from gcs.geodesy.plane import Plane
-from gcs.layout.planning_problem import LaidOut, lay_out
+from gcs.layout.planning_problem import PlanningProblem, lay_out
 from gcs.mission.model import Mission
 from gcs.remedies.actions import Fix, apply_fix, chains
 from gcs.remedies.search import Search, lower_margin
@@ -50,7 +50,7 @@ class PlannerLike(Protocol):
 Run = Callable[[Problem, float], Solution]
 
 
-def laid_out(mission: Mission, plane: Plane | None = None) -> LaidOut:
+def laid_out(mission: Mission, plane: Plane | None = None) -> PlanningProblem:
     """As `gcs.layout.planning_problem.lay_out`; a margin that leaves no range comes with the largest one that does."""
     try:
         return lay_out(mission, plane)
@@ -60,7 +60,7 @@ def laid_out(mission: Mission, plane: Plane | None = None) -> LaidOut:
         raise _margin_refused(mission, error) from None
 
 
-def solve(laid: LaidOut, planner: PlannerLike, method: Method, time_limit_s: float | None) -> Solution:
+def solve(laid: PlanningProblem, planner: PlannerLike, method: Method, time_limit_s: float | None) -> Solution:
     """The solution of a mission's problem, certified by the caller; its ``trajectory`` arrives when asked.
 
     Raises `MissionInfeasible`, with the least that would help, and `PlanningFailed`.
@@ -69,7 +69,7 @@ def solve(laid: LaidOut, planner: PlannerLike, method: Method, time_limit_s: flo
     def run(problem: Problem, energy_weight: float) -> Solution:
         return planner.plan(problem, method=method, time_limit_s=time_limit_s, energy_weight=energy_weight)
 
-    mission = laid.ground.mission
+    mission = laid.geometry.mission
     _refuse_late_arrival(mission)
     try:
         solution = _cheapest(laid, run) or run(_unhurried(laid.problem), 0.0)
@@ -79,7 +79,7 @@ def solve(laid: LaidOut, planner: PlannerLike, method: Method, time_limit_s: flo
             limit = finding.fix.get("limit")
             if limit != "max_handovers":
                 raise _start_refused(mission, run, finding.message, limit) from error
-        raise explain(laid.ground, laid.stations, finding, laid.problem.ranges_m) from error
+        raise explain(laid.geometry, laid.stations, finding, laid.problem.ranges_m) from error
     except SolverError as error:
         raise PlanningFailed(f"every planning method gave up: {error}") from error
     allowed, arrival = _allowed_s(mission), mission.options.arrival_s
@@ -105,9 +105,9 @@ def _unhurried(problem: Problem) -> Problem:
     return replace(problem, limits=replace(problem.limits, max_duration_s=None))
 
 
-def _cheapest(laid: LaidOut, run: Run) -> Solution | None:
+def _cheapest(laid: PlanningProblem, run: Run) -> Solution | None:
     """The plan of least cost that keeps endurance and arrival; None where time is all that counts, or too short."""
-    mission = laid.ground.mission
+    mission = laid.geometry.mission
     weight = mission.options.energy_weight
     if weight == 0.0:
         return None
@@ -187,7 +187,7 @@ def _margin_refused(mission: Mission, error: MissionInfeasible) -> MissionInfeas
         # Not even no margin would do: what else is wrong comes on top.
         laid = lay_out(bare)
         finding = diagnose_ranges(laid.problem)
-        more = None if finding is None else explain(laid.ground, laid.stations, finding, laid.problem.ranges_m).fix
+        more = None if finding is None else explain(laid.geometry, laid.stations, finding, laid.problem.ranges_m).fix
         if more is not None:
             further = more.pop("also", [])
             more.pop("alternatives", None)
@@ -227,7 +227,7 @@ def _start_refused(mission: Mission, run: Run, message: str, limit: object) -> M
     start = mission.start
     where = {name: float(value) for name, value in vars(start).items()}
     if mission.origin is not None:
-        place = lay_out(mission).ground.geo(np.array([where["east_m"], where["north_m"], where["up_m"]]))
+        place = lay_out(mission).geometry.geo(np.array([where["east_m"], where["north_m"], where["up_m"]]))
         where |= {name: float(value) for name, value in vars(place).items()}
     return MissionInfeasible(
         "limits",
@@ -251,7 +251,7 @@ def _can_start(mission: Mission) -> bool:
     return plan_joint(problem, route.sequence, START_EFFORT, starts=1) is not None
 
 
-def _arriving(laid: LaidOut, run: Run, solution: Solution, arrival_s: float) -> Solution:
+def _arriving(laid: PlanningProblem, run: Run, solution: Solution, arrival_s: float) -> Solution:
     """Slowed to arrive when asked. From rest: the same path, all limits kept with more to spare.
 
     A start that moves fixes the speed, and with it the time scale: such a flight is planned again to save energy, by

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible
 from gcs.geodesy.range_bounds import planning_elevation_deg, range_needed_m
-from gcs.layout.mission_geometry import Ground
+from gcs.layout.mission_geometry import MissionGeometry
 from gcs.mission.model import Mission
 from gcs.remedies.actions import Fix, apply_fix, chains, cost_order, number
 from planner import Infeasibility
@@ -30,23 +30,23 @@ MAX_TRIED = 2_000
 
 
 def explain(
-    ground: Ground, stations: NDArray[np.int64], finding: Infeasibility, planned_ranges_m: Array
+    geometry: MissionGeometry, stations: NDArray[np.int64], finding: Infeasibility, planned_ranges_m: Array
 ) -> MissionInfeasible:
     """``finding`` in the mission's terms.
 
     ``stations`` are the mission's indices of the problem's stations and ``planned_ranges_m`` the problem's ranges.
     """
-    mission = ground.mission
+    mission = geometry.mission
     ids = [mission.stations[int(stations[k])].id for k in finding.stations]
     where = None
     if finding.position_m is not None:
-        where = _place(ground, finding.position_m)
-    remedy = _Remedy(ground, stations, planned_ranges_m)
+        where = _place(geometry, finding.position_m)
+    remedy = _Remedy(geometry, stations, planned_ranges_m)
     fixes = _fixes(mission, remedy, finding)
     fix = {**fixes[0], "alternatives": fixes[1:]} if len(fixes) > 1 else fixes[0] if fixes else None
     return MissionInfeasible(
         finding.reason,
-        _message(ground, finding, ids),
+        _message(geometry, finding, ids),
         stations=ids,
         where=where,
         gap_m=finding.gap_m,
@@ -99,19 +99,19 @@ def _padded(fix: Mapping[str, object], pad: float) -> Fix:
     return larger
 
 
-def _place(ground: Ground, position_m: Sequence[float]) -> dict[str, float]:
+def _place(geometry: MissionGeometry, position_m: Sequence[float]) -> dict[str, float]:
     """A plane point in every frame the mission has."""
     east, north, up = (float(x) for x in position_m)
-    place = ground.geo(np.array([east, north, up]))
+    place = geometry.geo(np.array([east, north, up]))
     where = {"lat_deg": place.lat_deg, "lon_deg": place.lon_deg, "alt_amsl_m": place.alt_amsl_m}
-    return where | ({"east_m": east, "north_m": north, "up_m": up} if ground.is_local else {})
+    return where | ({"east_m": east, "north_m": north, "up_m": up} if geometry.is_local else {})
 
 
 @dataclass(frozen=True)
 class _Remedy:
     """Turns fixes of the problem into fixes of the mission document."""
 
-    ground: Ground
+    geometry: MissionGeometry
     stations: NDArray[np.int64]
     planned_m: Array
 
@@ -135,65 +135,65 @@ class _Remedy:
 
     def _needed_m(self, planned_m: Array) -> Array:
         """``(M,)``: ranges to give for these planned ones of all the mission's stations, margin included."""
-        return self.ground.needed_ranges_m(planned_m) + self.ground.mission.options.range_margin_m
+        return self.geometry.needed_ranges_m(planned_m) + self.geometry.mission.options.range_margin_m
 
     def _raise_range(self, fix: Mapping[str, object]) -> dict[str, object]:
         k = int(number(fix["station"]))
         station = int(self.stations[k])
-        planned = np.zeros(len(self.ground.mission.stations))
+        planned = np.zeros(len(self.geometry.mission.stations))
         planned[station] = self.planned_m[k] + number(fix["by_m"])
-        given = self.ground.mission.stations[station].range_m
+        given = self.geometry.mission.stations[station].range_m
         # A billionth of the range more, so that the sum does not fall short in its last digits.
         needed = max(float(self._needed_m(planned)[station]), given) * (1.0 + 1e-9)
-        identifier = self.ground.mission.stations[station].id
+        identifier = self.geometry.mission.stations[station].id
         return {"action": "raise_range", "station": identifier, "by_m": needed - given, "range_m": needed}
 
     def _raise_all(self, fix: Mapping[str, object]) -> dict[str, object]:
-        planned = np.zeros(len(self.ground.mission.stations))
+        planned = np.zeros(len(self.geometry.mission.stations))
         planned[self.stations] = self.planned_m + number(fix["by_m"])
-        more = (self._needed_m(planned) - self.ground.full_ranges_m)[self.stations]
-        by = float(more.max()) + 1e-9 * float(self.ground.full_ranges_m.max())
-        margin = self.ground.mission.options.range_margin_m
+        more = (self._needed_m(planned) - self.geometry.full_ranges_m)[self.stations]
+        by = float(more.max()) + 1e-9 * float(self.geometry.full_ranges_m.max())
+        margin = self.geometry.mission.options.range_margin_m
         if by <= margin:
             return {"action": "lower_margin", "by_m": by, "range_margin_m": margin - by}
         return {"action": "raise_all_ranges", "by_m": by}
 
     def _set_altitude(self, fix: Mapping[str, object]) -> dict[str, object]:
-        amsl = float(self.ground.plane.altitude_amsl_m(number(fix["alt_m"])))
+        amsl = float(self.geometry.plane.altitude_amsl_m(number(fix["alt_m"])))
         return {"action": "set_altitude", "of": fix["of"], "alt_amsl_m": amsl, "by_m": number(fix["by_m"])}
 
     def _widen_band(self, fix: Mapping[str, object]) -> dict[str, object]:
-        limits = self.ground.mission.limits
+        limits = self.geometry.mission.limits
         if "min_alt_m" in fix:
-            to = float(self.ground.plane.altitude_amsl_m(number(fix["min_alt_m"])))
+            to = float(self.geometry.plane.altitude_amsl_m(number(fix["min_alt_m"])))
             return {"action": "widen_band", "min_alt_amsl_m": to, "by_m": limits.min_alt_amsl_m - to}
-        to = float(self.ground.plane.altitude_amsl_m(number(fix["max_alt_m"])))
+        to = float(self.geometry.plane.altitude_amsl_m(number(fix["max_alt_m"])))
         return {"action": "widen_band", "max_alt_amsl_m": to, "by_m": to - limits.max_alt_amsl_m}
 
     def _lower_elevation(self, fix: Mapping[str, object]) -> dict[str, object]:
         """The angle to give, so that what the projection's correction adds to it again still leaves enough."""
         station = int(self.stations[int(number(fix["station"]))])
-        given = self.ground.min_elevations_deg[station]
+        given = self.geometry.min_elevations_deg[station]
         to = number(fix["to_deg"])
-        if not self.ground.is_local:
-            to -= float(planning_elevation_deg(0.0, self.ground.full_ranges_m[station]))
+        if not self.geometry.is_local:
+            to -= float(planning_elevation_deg(0.0, self.geometry.full_ranges_m[station]))
         allowed = to if to >= 0.0 else None
-        identifier = self.ground.mission.stations[station].id
+        identifier = self.geometry.mission.stations[station].id
         by = given - max(to, 0.0)
         return {"action": "lower_elevation", "station": identifier, "to_deg": allowed, "by_deg": float(by)}
 
     def _move(self, fix: Mapping[str, object]) -> dict[str, object]:
         position = fix["position_m"]
         assert isinstance(position, Sequence)
-        place = _place(self.ground, [number(x) for x in position])
+        place = _place(self.geometry, [number(x) for x in position])
         return {"action": "move", "of": fix["of"], "position": place, "by_m": number(fix["by_m"])}
 
     def _add_station(self, fix: Mapping[str, object]) -> dict[str, object]:
         position = fix["position_m"]
         assert isinstance(position, Sequence)
-        place = _place(self.ground, [number(x) for x in position])
-        limits, planned = self.ground.mission.limits, number(fix["range_m"])
-        if not self.ground.is_local:
+        place = _place(self.geometry, [number(x) for x in position])
+        limits, planned = self.geometry.mission.limits, number(fix["range_m"])
+        if not self.geometry.is_local:
             highest = max(place["alt_amsl_m"], limits.max_alt_amsl_m)
             lowest = min(place["alt_amsl_m"], limits.min_alt_amsl_m)
             # The place is written in degrees and read back: a millimetre is more than that can lose.
@@ -201,13 +201,13 @@ class _Remedy:
         return {
             "action": "add_station",
             "position": place,
-            "range_m": planned + self.ground.mission.options.range_margin_m,
+            "range_m": planned + self.geometry.mission.options.range_margin_m,
         }
 
     def _raise_limit(self, fix: Mapping[str, object]) -> dict[str, object]:
         """Limits of the problem that are several, or other, in the mission."""
         to = number(fix["to"])
-        limits = self.ground.mission.limits
+        limits = self.geometry.mission.limits
         if fix["limit"] == "max_duration_s":
             return {"action": "raise_limit", "limit": "endurance_s", "to": to + (limits.reserve_s or 0.0) + 1e-6}
         if fix["limit"] == "max_handovers":
@@ -215,8 +215,8 @@ class _Remedy:
         return {"action": "raise_limit", "limit": fix["limit"], "to": to}
 
 
-def _message(ground: Ground, finding: Infeasibility, ids: list[str]) -> str:
-    limits, margin = ground.mission.limits, ground.mission.options.range_margin_m
+def _message(geometry: MissionGeometry, finding: Infeasibility, ids: list[str]) -> str:
+    limits, margin = geometry.mission.limits, geometry.mission.options.range_margin_m
     gap = None if finding.gap_m is None else f"{finding.gap_m:.1f} m"
     less = f" less the margin of {margin:g} m" if margin > 0 else ""
     end = "start" if finding.reason.startswith("start") else "destination"

@@ -15,7 +15,7 @@ from sqlalchemy.exc import IntegrityError
 from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.flight import FlightEvent, FlightState
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, utc_text
+from gcs.store.missions import Clock, dump, stored_utc
 from gcs.store.tables import flight_events, flights, mission_versions
 
 log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ class FlightStore:
             ).first()
             if busy is not None:
                 raise ConflictError(f"vehicle {vehicle_id} is on flight {busy.id}, which has not ended")
-            flight_id, now = self._new_id(), utc_text(self._clock())
+            flight_id, now = self._new_id(), stored_utc(self._clock())
             connection.execute(
                 insert(flights).values(
                     id=flight_id,
@@ -126,7 +126,7 @@ class FlightStore:
             connection.execute(
                 update(flights)
                 .where(flights.c.id == flight_id)
-                .values(document=dump(dict(document)), changed_utc=utc_text(self._clock()))
+                .values(document=dump(dict(document)), changed_utc=stored_utc(self._clock()))
             )
             return self._get(connection, flight_id)
 
@@ -150,13 +150,13 @@ class FlightStore:
                         document=text,
                     )
                 )
-                ended = utc_text(self._clock()) if event.state.ended else None
+                ended = stored_utc(self._clock()) if event.state.ended else None
                 connection.execute(
                     update(flights)
                     .where(flights.c.id == flight_id)
                     .values(
                         state=event.state.value,
-                        changed_utc=utc_text(self._clock()),
+                        changed_utc=stored_utc(self._clock()),
                         ended_utc=flight.ended_utc or ended,
                     )
                 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import Connection, RowMapping, func, insert, select, update
@@ -15,6 +15,7 @@ from sqlalchemy import Connection, RowMapping, func, insert, select, update
 from gcs.errors import ConflictError, NotFoundError, QueueFullError
 from gcs.store.database import Database
 from gcs.store.tables import flights, idempotency_keys, mission_versions, missions
+from gcs.timestamps import utc_text
 
 Clock = Callable[[], datetime]
 STATUSES = ("queued", "planning", "planned", "infeasible", "failed")
@@ -53,9 +54,9 @@ class Idempotency:
     request_sha256: str
 
 
-def utc_text(moment: datetime) -> str:
-    """RFC 3339 in UTC with microseconds."""
-    return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+def stored_utc(moment: datetime) -> str:
+    """A time as the tables keep it, which sorts as text as it does as time."""
+    return utc_text(moment, "microseconds")
 
 
 def dump(document: object) -> str:
@@ -109,7 +110,7 @@ class MissionStore:
             if known is not None:
                 return known, False
             self._check_queue(connection, max_queued)
-            mission_id, now = self._new_id(), utc_text(self._clock())
+            mission_id, now = self._new_id(), stored_utc(self._clock())
             connection.execute(
                 insert(missions).values(id=mission_id, name=str(document["name"]), latest_version=1, created_utc=now)
             )
@@ -133,7 +134,7 @@ class MissionStore:
             if record.archived_utc is not None:
                 raise ConflictError(f"mission {mission_id} is archived; make a new mission")
             self._check_queue(connection, max_queued)
-            version, now = record.latest_version + 1, utc_text(self._clock())
+            version, now = record.latest_version + 1, stored_utc(self._clock())
             connection.execute(
                 update(missions)
                 .where(missions.c.id == mission_id)
@@ -294,7 +295,7 @@ class MissionStore:
             ).first()
             if using is not None:
                 raise ConflictError(f"flight {using.id} uses mission {mission_id} and has not ended")
-            now = utc_text(self._clock())
+            now = stored_utc(self._clock())
             connection.execute(update(missions).where(missions.c.id == mission_id).values(archived_utc=now))
             self._give_up(connection, mission_id, None, "archived", now)
             return self._get(connection, mission_id, None)
@@ -303,7 +304,7 @@ class MissionStore:
         """Give up the planning of a version that is not done yet; whether there was anything to give up."""
         with self._db.write() as connection:
             record = self._get(connection, mission_id, version)
-            return self._give_up(connection, mission_id, record.version, "cancelled", utc_text(self._clock())) > 0
+            return self._give_up(connection, mission_id, record.version, "cancelled", stored_utc(self._clock())) > 0
 
     @staticmethod
     def _give_up(connection: Connection, mission_id: str, version: int | None, why: str, now: str) -> int:

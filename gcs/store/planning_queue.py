@@ -16,7 +16,7 @@ from sqlalchemy import select, update
 
 from gcs.errors import MissionInfeasible
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, utc_text
+from gcs.store.missions import Clock, dump, stored_utc
 from gcs.store.tables import mission_versions
 
 
@@ -63,15 +63,15 @@ class PlanningQueue:
                     phase="preparing",
                     progress=0.0,
                     owner=owner,
-                    lease_utc=utc_text(now + timedelta(seconds=lease_s)),
-                    changed_utc=utc_text(now),
+                    lease_utc=stored_utc(now + timedelta(seconds=lease_s)),
+                    changed_utc=stored_utc(now),
                 )
             )
             return Claim(found.mission_id, found.version, json.loads(found.document))
 
     def renew(self, owner: str, lease_s: float) -> int:
         """Lengthen every lease of ``owner``; how many there are."""
-        until = utc_text(self._clock() + timedelta(seconds=lease_s))
+        until = stored_utc(self._clock() + timedelta(seconds=lease_s))
         with self._db.write() as connection:
             return connection.execute(
                 update(mission_versions)
@@ -87,7 +87,7 @@ class PlanningQueue:
 
     def release(self, *, owner: str | None = None) -> int:
         """Queue again what ``owner`` was planning; without an owner, what leases have run out on. How many."""
-        now = utc_text(self._clock())
+        now = stored_utc(self._clock())
         whose = mission_versions.c.owner == owner if owner is not None else mission_versions.c.lease_utc < now
         with self._db.write() as connection:
             return connection.execute(
@@ -139,6 +139,6 @@ class PlanningQueue:
                     mission_versions.c.status == "planning",
                     mission_versions.c.owner == by,
                 )
-                .values(changed_utc=utc_text(self._clock()), **values)
+                .values(changed_utc=stored_utc(self._clock()), **values)
             )
             return done.rowcount == 1

@@ -11,7 +11,7 @@ from sqlalchemy import RowMapping, delete, insert, select, update
 
 from gcs.errors import ConflictError, NotFoundError
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, utc_text
+from gcs.store.missions import Clock, dump, stored_utc
 from gcs.store.tables import registry
 
 KINDS = ("station", "vehicle", "link")
@@ -50,7 +50,7 @@ class RegistryStore:
             present = 0 if found is None else int(found.revision)
             if revision is not None and revision != present:
                 raise ConflictError(f"{kind} {entry_id} is at revision {present}, not {revision}")
-            now = utc_text(self._clock())
+            now = stored_utc(self._clock())
             values = {"document": dump(dict(document)), "revision": present + 1, "changed_utc": now}
             if found is None:
                 connection.execute(insert(registry).values(kind=kind, id=entry_id, created_utc=now, **values))

@@ -5,13 +5,22 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import Any
 
-from link.autopilot import local_frame
+from link.autopilot import ardupilot_failsafes, local_frame
+from link.autopilot.failsafe_rule import FailsafeRule, UnsafeTogether
 from link.autopilot.local_frame import EkfOrigin
-from link.autopilot.parameter_names import ARDUPILOT_PARAMETERS
-from link.autopilot.profile import MAX_LOCAL_LATITUDE_DEG, MAX_LOCAL_OFFSET_M, AutopilotProfile, _check
+from link.autopilot.parameter_catalogue import ARDUPILOT_PARAMETERS, Values
+from link.autopilot.profile import (
+    FENCE_POLYGONS,
+    MAX_LOCAL_LATITUDE_DEG,
+    MAX_LOCAL_OFFSET_M,
+    ROTORCRAFT,
+    AutopilotProfile,
+    check_range,
+)
 from link.dialect import mavlink
 from link.errors import MissingOrigin, UnsafeSetpoint
 from link.microservices.mission_download import MissionTraits
+from link.microservices.mission_item import RELATIVE
 from link.setpoints.setpoint import Setpoint
 
 
@@ -56,16 +65,50 @@ class ArduPilotProfile(AutopilotProfile):
         }
     )
     stream_before_offboard_s = 0.0
-    min_stream_hz = 0.0
     parameter_encoding = "c_cast"
     parameters = ARDUPILOT_PARAMETERS
     mission = MissionTraits(
         keeps_old_after_failure=False,
-        honours_cancel=False,
-        upload_timeout_s=8.0,
         first_item_is_home=True,
         keeps_parameters=False,
     )
+    oldest_firmware = (4, 3)
+    airframes = ROTORCRAFT
+    # Its own navigation's speeds do not bound position targets; its lean does.
+    binding_speeds = False
+    climbs_by_command = True
+    resumes_offboard_unasked = False
+    target_runs_on = True
+    filters_station_ids = True
+    rally_frame = RELATIVE
+    fence_actions = MappingProxyType(
+        {
+            0: "a text",
+            1: "return, or land",
+            2: "land",
+            3: "smart return, return or land",
+            4: "brake, or land",
+            5: "smart return, or land",
+        }
+    )
+    harmless_fence_actions = frozenset({0})
+    # The kind before the switch, so that nothing but the polygon comes into force.
+    fence_switches = MappingProxyType({"fence_type": FENCE_POLYGONS, "fence_enabled": 1})
+
+    def failsafe_rules(self, least_s: float) -> tuple[FailsafeRule, ...]:
+        """See `link.autopilot.ardupilot_failsafes`."""
+        return ardupilot_failsafes.rules(least_s)
+
+    def unsafe_together(self, values: Values) -> list[UnsafeTogether]:
+        """See `link.autopilot.ardupilot_failsafes`."""
+        return ardupilot_failsafes.unsafe_together(values)
+
+    def fence_kinds(self, values: Values) -> int | None:
+        """Those of FENCE_TYPE where FENCE_ENABLE is set."""
+        if not self.measure(values, "fence_enabled"):
+            return 0
+        kinds = self.measure(values, "fence_type")
+        return None if kinds is None else int(kinds)
 
     def _message(self, setpoint: Setpoint, head: tuple[int, int, int], yaw_rad: float, origin: EkfOrigin | None) -> Any:
         if origin is None:
@@ -78,8 +121,8 @@ class ArduPilotProfile(AutopilotProfile):
         if not abs(origin.lat_deg) <= MAX_LOCAL_LATITUDE_DEG:
             raise UnsafeSetpoint("origin.lat_deg", origin.lat_deg, latitudes)
         north, east = local_frame.ardupilot_north_east_m(origin, setpoint.lat_deg, setpoint.lon_deg)
-        _check("north_m of the EKF origin", north, -MAX_LOCAL_OFFSET_M, MAX_LOCAL_OFFSET_M)
-        _check("east_m of the EKF origin", east, -MAX_LOCAL_OFFSET_M, MAX_LOCAL_OFFSET_M)
+        check_range("north_m of the EKF origin", north, -MAX_LOCAL_OFFSET_M, MAX_LOCAL_OFFSET_M)
+        check_range("east_m of the EKF origin", east, -MAX_LOCAL_OFFSET_M, MAX_LOCAL_OFFSET_M)
         return mavlink.MAVLink_set_position_target_local_ned_message(
             *head,
             self.coordinate_frame,

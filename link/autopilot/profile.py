@@ -1,4 +1,6 @@
-"""What differs between autopilots, as data and one method: modes, parameters, and how a setpoint is written.
+"""What differs between autopilots: modes, parameters and what they must be, habits, and how a setpoint is written.
+
+Nobody else asks for an autopilot's name: a difference that matters somewhere is an attribute here.
 
 Both stream position, velocity and acceleration under one mask (0x0C00: yaw and yaw rate ignored) for the whole
 flight: ArduCopter starts its controller anew whenever the set of fields changes, and with yaw left to it the vehicle
@@ -23,12 +25,12 @@ import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
+from link.autopilot.failsafe_rule import FailsafeRule, UnsafeTogether
 from link.autopilot.local_frame import EkfOrigin
-from link.autopilot.parameter_names import ParameterName
+from link.autopilot.parameter_catalogue import ParameterName, Values
 from link.dialect import mavlink
 from link.errors import UnsafeSetpoint
 from link.microservices.mission_download import MissionTraits
-from link.microservices.parameter_value import Parameter
 from link.setpoints.setpoint import Setpoint
 
 POSITION_VELOCITY_ACCELERATION = 0x0C00
@@ -42,6 +44,13 @@ MAX_LOCAL_OFFSET_M = 1_000_000.0
 MAX_LOCAL_LATITUDE_DEG = 85.0
 """ArduPilot's longitude scaling is meaningless near the poles."""
 _UINT32 = 0xFFFFFFFF
+
+ROTORCRAFT = frozenset({2, 3, 4, 13, 14, 15, 29, 35})
+"""MAV_TYPE of what hovers on rotors alone."""
+VTOL = frozenset(range(19, 26))
+FENCE_HEIGHT, FENCE_CIRCLE, FENCE_POLYGONS = 1, 2, 4
+"""Kinds of a vehicle's fence, as the bits of ArduPilot's FENCE_TYPE."""
+_UNKNOWN_ACTION = "an action nobody knows"
 
 
 class AutopilotProfile(abc.ABC):
@@ -65,11 +74,43 @@ class AutopilotProfile(abc.ABC):
     """Mode names to custom_mode numbers."""
     stream_before_offboard_s: float
     """How long setpoints must have been arriving before the mode is asked for."""
-    min_stream_hz: float
-    """A slower stream counts as lost."""
     parameter_encoding: Literal["bytewise", "c_cast"]
     parameters: tuple[ParameterName, ...]
     mission: MissionTraits
+    oldest_firmware: tuple[int, int]
+    """What this profile was made for."""
+    airframes: frozenset[int]
+    """MAV_TYPEs that hover and take position setpoints under this firmware."""
+    binding_speeds: bool
+    """Whether `parameters` ``max_speed``, ``max_climb`` and ``max_descent`` bound position setpoints too."""
+    climbs_by_command: bool
+    """Takes off by MAV_CMD_NAV_TAKEOFF, which a setpoint would abort; otherwise a stream of setpoints lifts it."""
+    resumes_offboard_unasked: bool
+    """Takes a stream that comes back for leave to go on with it: it must be put on hold first."""
+    target_runs_on: bool
+    """Moves its target on along the setpoint's velocity until the next one comes."""
+    filters_station_ids: bool
+    """Can be told by parameters which ground stations' system ids it hears, as a range or one alone."""
+    rally_frame: int
+    """MAV_FRAME in which its rally points are written."""
+    fence_actions: Mapping[int, str]
+    """What it does beyond its fence, in words, by the value of its parameter ``fence_action``."""
+    harmless_fence_actions: frozenset[int]
+    """Those of `fence_actions` that leave the flight alone."""
+    fence_switches: Mapping[str, int]
+    """Bits to set, parameter by parameter and in this order, for a polygon laid to come into force."""
+
+    @abc.abstractmethod
+    def failsafe_rules(self, least_s: float) -> tuple[FailsafeRule, ...]:
+        """What its failsafe parameters must be, for a stream whose silence of up to ``least_s`` must be borne."""
+
+    @abc.abstractmethod
+    def unsafe_together(self, values: Values) -> list[UnsafeTogether]:
+        """Parameters each fine by itself and unsafe beside another."""
+
+    @abc.abstractmethod
+    def fence_kinds(self, values: Values) -> int | None:
+        """The kinds of fence in force, bits of `FENCE_HEIGHT` and its like; None where it does not tell which."""
 
     def encode(
         self,
@@ -85,19 +126,19 @@ class AutopilotProfile(abc.ABC):
         Raises `UnsafeSetpoint` for anything not finite or out of range, `MissingOrigin` where ``origin`` is needed.
         """
         if time_boot_ms is None:
-            _check("time_s", setpoint.time_s, 0.0, _UINT32 / 1000.0)
+            check_range("time_s", setpoint.time_s, 0.0, _UINT32 / 1000.0)
             time_boot_ms = int(setpoint.time_s * 1000.0)
-        _check("time_boot_ms", time_boot_ms, 0, _UINT32)
-        _check("target_system", target_system, 1, 255)
-        _check("target_component", target_component, 0, 255)
-        _check("lat_deg", setpoint.lat_deg, -90.0, 90.0)
-        _check("lon_deg", setpoint.lon_deg, -180.0, 180.0)
-        _check("alt_amsl_m", setpoint.alt_amsl_m, *ALTITUDE_BAND_AMSL_M)
-        _check("yaw_deg", setpoint.yaw_deg, -360.0, 360.0)
+        check_range("time_boot_ms", time_boot_ms, 0, _UINT32)
+        check_range("target_system", target_system, 1, 255)
+        check_range("target_component", target_component, 0, 255)
+        check_range("lat_deg", setpoint.lat_deg, -90.0, 90.0)
+        check_range("lon_deg", setpoint.lon_deg, -180.0, 180.0)
+        check_range("alt_amsl_m", setpoint.alt_amsl_m, *ALTITUDE_BAND_AMSL_M)
+        check_range("yaw_deg", setpoint.yaw_deg, -360.0, 360.0)
         for axis, speed in zip("ned", setpoint.velocity_ned_m_s, strict=True):
-            _check(f"v{axis}_m_s", speed, -MAX_SPEED_M_S, MAX_SPEED_M_S)
+            check_range(f"v{axis}_m_s", speed, -MAX_SPEED_M_S, MAX_SPEED_M_S)
         for axis, acceleration in zip("ned", setpoint.acceleration_ned_m_s2, strict=True):
-            _check(f"a{axis}_m_s2", acceleration, -MAX_ACCELERATION_M_S2, MAX_ACCELERATION_M_S2)
+            check_range(f"a{axis}_m_s2", acceleration, -MAX_ACCELERATION_M_S2, MAX_ACCELERATION_M_S2)
         return self._message(
             setpoint,
             (int(time_boot_ms), int(target_system), int(target_component)),
@@ -133,15 +174,6 @@ class AutopilotProfile(abc.ABC):
         flag = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
         return (flag, *self._mode_words(self.modes[mode]), 0.0, 0.0, 0.0, 0.0)
 
-    def is_autopilot(self, heartbeat: Any) -> bool:
-        """Whether a HEARTBEAT is the flight controller's own: gimbals and modems of the vehicle send them too."""
-        return bool(
-            heartbeat.get_type() == "HEARTBEAT"
-            and heartbeat.get_srcComponent() == AUTOPILOT_COMPONENT
-            and heartbeat.autopilot == self.autopilot_id
-            and heartbeat.type != mavlink.MAV_TYPE_GCS
-        )
-
     def mode_of(self, heartbeat: Any) -> str:
         """Mode name from a HEARTBEAT, ``"mode N"`` where the number is not known."""
         number = self._mode_number(heartbeat.custom_mode)
@@ -154,12 +186,15 @@ class AutopilotProfile(abc.ABC):
         """Whether the vehicle follows setpoints. Believe this alone: PX4 acknowledges the mode without taking it."""
         return self.mode_of(heartbeat) == self.offboard_mode
 
-    def is_armed(self, heartbeat: Any) -> bool:
-        """Whether the motors are armed, from a HEARTBEAT."""
-        return bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-
     def _mode_number(self, custom_mode: int) -> int:
         return custom_mode
+
+    def fence_action(self, values: Values) -> tuple[str, bool]:
+        """What it does beyond its fence, in words, and whether that leaves the flight alone."""
+        action = self.measure(values, "fence_action")
+        if action is None:
+            return _UNKNOWN_ACTION, False
+        return self.fence_actions.get(int(action), _UNKNOWN_ACTION), int(action) in self.harmless_fence_actions
 
     def parameter(self, key: str) -> ParameterName:
         """The parameter known here as ``key``; `KeyError` for any other."""
@@ -168,13 +203,13 @@ class AutopilotProfile(abc.ABC):
                 return parameter
         raise KeyError(key)
 
-    def measure(self, values: Mapping[str, Parameter | None], key: str) -> float | None:
+    def measure(self, values: Values, key: str) -> float | None:
         """What was read of a parameter, in the unit of its `ParameterName`; None where nothing was."""
         parameter = values.get(key)
         return None if parameter is None else self.parameter(key).measure(parameter)
 
 
-def _check(field: str, value: float, low: float, high: float) -> None:
-    # Written so that NaN fails it.
+def check_range(field: str, value: float, low: float, high: float) -> None:
+    """Raise `UnsafeSetpoint` for a value outside ``low`` to ``high``; NaN is outside."""
     if not low <= value <= high:
         raise UnsafeSetpoint(field, value, f"{low:g} to {high:g}")

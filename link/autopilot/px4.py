@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from link.autopilot import local_frame
+from link.autopilot import local_frame, px4_failsafes
+from link.autopilot.failsafe_rule import FailsafeRule, UnsafeTogether
 from link.autopilot.local_frame import EkfOrigin
-from link.autopilot.parameter_names import PX4_PARAMETERS
-from link.autopilot.profile import AutopilotProfile
+from link.autopilot.parameter_catalogue import PX4_PARAMETERS, Values
+from link.autopilot.profile import (
+    FENCE_CIRCLE,
+    FENCE_HEIGHT,
+    FENCE_POLYGONS,
+    ROTORCRAFT,
+    VTOL,
+    AutopilotProfile,
+)
 from link.dialect import mavlink
 from link.microservices.mission_download import MissionTraits
+from link.microservices.mission_item import AMSL
 from link.setpoints.setpoint import Setpoint
 
 
@@ -47,16 +57,36 @@ class Px4Profile(AutopilotProfile):
         }
     )
     stream_before_offboard_s = 1.0
-    min_stream_hz = 2.0
     parameter_encoding = "bytewise"
     parameters = PX4_PARAMETERS
     mission = MissionTraits(
         keeps_old_after_failure=True,
-        honours_cancel=True,
-        upload_timeout_s=5.0,
         first_item_is_home=False,
         keeps_parameters=True,
     )
+    oldest_firmware = (1, 12)
+    airframes = ROTORCRAFT | VTOL
+    binding_speeds = True
+    climbs_by_command = False
+    resumes_offboard_unasked = True
+    target_runs_on = False
+    filters_station_ids = False
+    rally_frame = AMSL
+    fence_actions = MappingProxyType({0: "nothing", 1: "a text", 2: "hold", 3: "return", 4: "terminate", 5: "land"})
+    harmless_fence_actions = frozenset({0, 1})
+    fence_switches: Mapping[str, int] = MappingProxyType({})
+
+    def failsafe_rules(self, least_s: float) -> tuple[FailsafeRule, ...]:
+        """See `link.autopilot.px4_failsafes`."""
+        return px4_failsafes.rules(least_s)
+
+    def unsafe_together(self, values: Values) -> list[UnsafeTogether]:
+        """See `link.autopilot.px4_failsafes`."""
+        return px4_failsafes.unsafe_together(values)
+
+    def fence_kinds(self, values: Values) -> int | None:
+        """All: its polygons are always in force, its distances when not 0."""
+        return FENCE_HEIGHT | FENCE_CIRCLE | FENCE_POLYGONS
 
     def _message(self, setpoint: Setpoint, head: tuple[int, int, int], yaw_rad: float, origin: EkfOrigin | None) -> Any:
         return mavlink.MAVLink_set_position_target_global_int_message(

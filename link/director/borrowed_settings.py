@@ -17,7 +17,7 @@ from link.dialect import mavlink
 from link.errors import MissionItemError
 from link.handover import gcs_ids
 from link.handover.gcs_ids import GcsIdManager, GcsIds
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.mission_download import MissionDownload, MissionTransfer
 from link.microservices.mission_item import AMSL, FENCE, RALLY, RELATIVE, TYPE_NAMES, MissionItem, rally_point
 from link.microservices.mission_upload import MissionClear, MissionUpload, difference
@@ -36,8 +36,6 @@ CAPABILITIES = {
     RALLY: mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY,
     FENCE: mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE,
 }
-ARDUPILOT_FENCE = {"fence_type": geofence.POLYGONS, "fence_enabled": 1}
-"""Written in this order after the polygon, so that nothing but it comes into force."""
 
 Values = Mapping[str, Parameter | None]
 
@@ -45,14 +43,14 @@ Values = Mapping[str, Parameter | None]
 def _covered(plan: Plan, enu_m: NDArray[np.float64]) -> bool:
     """Whether any station that may be used has a place in range."""
     allowed = [k for k, s in enumerate(plan.mission.stations) if s.id not in plan.mission.options.excluded_stations]
-    outside = plan.ground.outside_m(np.array(allowed), np.broadcast_to(enu_m, (len(allowed), 3)))
+    outside = plan.geometry.outside_m(np.array(allowed), np.broadcast_to(enu_m, (len(allowed), 3)))
     return bool((outside <= 0.0).any())
 
 
 class BorrowedSettings:
     """What is borrowed for one flight. The steps want a station in control and the vehicle disarmed."""
 
-    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionDesk) -> None:
+    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
         self._flight = flight
         self._request = flight.request
         self._timeline = flight.timeline
@@ -82,7 +80,7 @@ class BorrowedSettings:
         vehicle, control = self._vehicle, self._control
         self._values = values
         way = self._request.handover_way
-        if vehicle.profile.name != "ardupilot" or way in (HandoverWay.GATE, HandoverWay.OPERATOR_CONTROL):
+        if not vehicle.profile.filters_station_ids or way in (HandoverWay.GATE, HandoverWay.OPERATOR_CONTROL):
             return []
         before = gcs_ids.present(values)
         used = {station: control.system_ids[station] for station in vehicle.monitor.links}
@@ -149,7 +147,7 @@ class BorrowedSettings:
         safe = plan.mission.safe_points
         if not safe:
             return [], []
-        ground = plan.ground
+        ground = plan.geometry
         at = ground.enu_m([point.position for point in safe])
         path = geofence.path_m(plan)
         named, uncovered = [], []
@@ -159,7 +157,7 @@ class BorrowedSettings:
                 uncovered.append(safe[k].id)
                 continue
             place = ground.geo(at[k])
-            if self._vehicle.profile.name == "px4":
+            if self._vehicle.profile.rally_frame == AMSL:
                 item = rally_point(place.lat_deg, place.lon_deg, place.alt_amsl_m, frame=AMSL)
             else:
                 height_m = float(round(max(0.0, place.alt_amsl_m - ground_amsl_m)))
@@ -209,19 +207,17 @@ class BorrowedSettings:
     def _enforce_geofence(self, values: Values, laid: Check) -> Steps[Check]:
         """Bring the polygon into force; what its action does is said."""
         profile = self._vehicle.profile
-        action = profile.measure(values, "fence_action")
-        does = geofence.ACTIONS[profile.name].get(-1 if action is None else int(action), "an action nobody knows")
+        does, harmless = profile.fence_action(values)
         told = f"{laid.message}; the vehicle answers a breach with: {does}"
-        if profile.name == "ardupilot":
-            enabled = bool(profile.measure(values, "fence_enabled"))
-            for key, value in ARDUPILOT_FENCE.items():
-                parameter = values.get(key)
-                # One that is in force already keeps its other kinds: they were judged.
-                new = int(parameter.value) | value if parameter is not None and enabled else value
-                if parameter is None or not (yield from self._set(parameter, new)):
-                    fix = "set FENCE_TYPE 4 and FENCE_ENABLE 1 by hand, or fly without --fence"
-                    return Check("fence", Level.FAILURE, f"{key} was not taken: the fence is not in force", fix=fix)
-        if action is None or int(action) in geofence.TEXT_ONLY[profile.name]:
+        enabled = bool(profile.measure(values, "fence_enabled"))
+        for key, value in profile.fence_switches.items():
+            parameter = values.get(key)
+            # One that is in force already keeps its other kinds: they were judged.
+            new = int(parameter.value) | value if parameter is not None and enabled else value
+            if parameter is None or not (yield from self._set(parameter, new)):
+                fix = "set FENCE_TYPE 4 and FENCE_ENABLE 1 by hand, or fly without --fence"
+                return Check("fence", Level.FAILURE, f"{key} was not taken: the fence is not in force", fix=fix)
+        if harmless or profile.measure(values, "fence_action") is None:
             fix = f"set {profile.parameter('fence_action').names[0]} if the vehicle is to act on it"
             return Check("fence", Level.WARNING, told, laid.value, fix=fix)
         return Check("fence", Level.PASS, told, laid.value)

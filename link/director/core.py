@@ -14,22 +14,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word, check_word
-from link.clock import Lateness, TickGrid
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError, check_operator_command
+from link.clock import TickGrid, TickLateness
 from link.dialect import mavlink
 from link.director.airborne import Airborne
 from link.director.launch import Launch
 from link.director.link_upkeep import LinkUpkeep
 from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
 from link.session.timeline import plain
-from link.telemetry.link_path import Carrier
-from link.transport.url import STREAM_SCHEMES, parse_url
+from link.telemetry.link_path import LinkPath
+from link.transport.url import parse_url
 from link.wire.codec import StationCodec
 
 OnFrame = Callable[[float, bytes], None]
@@ -60,19 +60,19 @@ class FlightCore:
         self._decoders = _decoders(self._sharing, self.codecs)
         send, encoding = flight.control.gate.send, flight.vehicle.profile.parameter_encoding
         self.parameters = ParameterClient(send, flight.vehicle.system_id, encoding)
-        self.missions = MissionDesk(send)
+        self.missions = MissionClient(send)
         self.launch = Launch(flight, self.parameters, self.missions)
         self.airborne = Airborne(flight)
         self.links = LinkUpkeep(flight, self.airborne)
         self.announcer = Announcer(flight, self.airborne)
-        self.lateness = Lateness()
+        self.lateness = TickLateness()
         self.finished = False
         self._on_frame = on_frame
         self._grid = TickGrid(request.rate_hz, now_s)
         self._procedure: Steps[None] | None = self.launch.run()
         self._restoring: Steps[None] | None = None
         self._streams: Steps[None] | None = None
-        self._streamed: tuple[int, Carrier] | None = None
+        self._streamed: tuple[int, LinkPath] | None = None
 
     @property
     def state(self) -> FlightState:
@@ -90,7 +90,7 @@ class FlightCore:
         """Take what came in over a station's link, or the one of its links named. Never raises for what is in it."""
         timeline, monitor = self._timeline, self._vehicle.monitor
         timeline.now_s = max(timeline.now_s, now_s)
-        url = url or monitor.links[station_id].carriers[0].url
+        url = url or monitor.links[station_id].paths[0].url
         for message in self._decoders[url].decode(data):
             if self._on_frame is not None:
                 self._on_frame(timeline.now_s, bytes(message.get_msgbuf()))
@@ -143,7 +143,7 @@ class FlightCore:
         """The URLs a frame of a station goes out over: a probe over all its links, all else over the one that sends."""
         link = self._vehicle.monitor.links[station_id]
         if int.from_bytes(frame[7:10], "little") == mavlink.MAVLINK_MSG_ID_TIMESYNC:
-            return tuple(carrier.url for carrier in link.carriers)
+            return tuple(path.url for path in link.paths)
         return (link.active.url,)
 
     def take_outgoing(self) -> list[tuple[str, bytes]]:
@@ -237,7 +237,7 @@ class FlightCore:
 
     def command(
         self,
-        command: Word | str,
+        command: OperatorCommand | str,
         *,
         by: str = "",
         handover: int | None = None,
@@ -250,56 +250,57 @@ class FlightCore:
     ) -> None:
         """An operator's command.
 
-        ``handover`` is the index that `Word.READY`, `Word.ACCEPT` and `Word.REFUSE` are about; ``until_s`` the time of
-        the plan for `Word.AUTHORISE`. ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming``
-        (from `make_ready`), ``join_s`` and ``leave_s`` are for `Word.REPLAN`: see
-        `link.director.airborne.Airborne.adopt`.
+        ``handover`` is the index that READY, ACCEPT and REFUSE are about; ``until_s`` the plan's time for AUTHORISE.
+        ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming`` (from `make_ready`), ``join_s``
+        and ``leave_s`` are for REPLAN: see `link.director.airborne.Airborne.adopt`.
 
         Raises `gcs.flight.TransitionError` (also for an unknown command) and changes nothing then.
         """
         try:
-            command = Word(command)
+            command = OperatorCommand(command)
         except ValueError:
-            raise TransitionError(f"unknown word {command!r}; allowed is {', '.join(sorted(Word))}") from None
+            raise TransitionError(
+                f"unknown word {command!r}; allowed is {', '.join(sorted(OperatorCommand))}"
+            ) from None
         if plan_sha256 is not None and plan_sha256 != self.context.plan.plan_sha256:
             raise TransitionError(f"'{command}' is for another plan ({plan_sha256[:12]}...) than the one being flown")
-        check_word(command, self._timeline.state)
-        if command in (Word.READY, Word.ACCEPT, Word.REFUSE) and handover is None:
+        check_operator_command(command, self._timeline.state)
+        if command in (OperatorCommand.READY, OperatorCommand.ACCEPT, OperatorCommand.REFUSE) and handover is None:
             raise TransitionError(f"'{command}' needs the index of a handover")
-        if command is Word.AUTHORISE and (until_s is None or not until_s >= 0.0):
+        if command is OperatorCommand.AUTHORISE and (until_s is None or not until_s >= 0.0):
             raise TransitionError("'authorise' needs until_s, a time of the plan, 0 or more")
-        if command is Word.REPLAN:
+        if command is OperatorCommand.REPLAN:
             if upcoming is None:
                 raise TransitionError("'replan' needs a plan made ready for this flight")
             self.airborne.adopt(upcoming, join_s, leave_s)
         else:
             self._obey(command, handover or 0, until_s or 0.0, reason or by or "word")
         self._timeline.emit(
-            EventKind.WORD, word=command.value, by=by, handover=handover, until_s=until_s, reason=reason
+            EventKind.OPERATOR_COMMAND, word=command.value, by=by, handover=handover, until_s=until_s, reason=reason
         )
 
     def make_ready(self, document: Mapping[str, Any]) -> NextPlan:
-        """A plan document judged and prepared for `Word.REPLAN`; slow, and safe in a thread beside the flight.
+        """A plan document judged and prepared for REPLAN; slow, and safe in a thread beside the flight.
 
         Raises `TransitionError` with the reasons why this flight cannot fly it.
         """
         return make_ready(document, self.context, self.launch.values)
 
-    def _obey(self, command: Word, handover: int, until_s: float, reason: str) -> None:
+    def _obey(self, command: OperatorCommand, handover: int, until_s: float, reason: str) -> None:
         air = self.airborne
-        if command is Word.LAUNCH:
+        if command is OperatorCommand.LAUNCH:
             self.launch.commanded = True
-        elif command is Word.HOLD:
+        elif command is OperatorCommand.HOLD:
             air.hold()
-        elif command is Word.RESUME:
+        elif command is OperatorCommand.RESUME:
             air.resume()
-        elif command is Word.ABORT:
+        elif command is OperatorCommand.ABORT:
             self._abort(reason)
-        elif command is Word.LAND:
+        elif command is OperatorCommand.LAND:
             self._land()
-        elif command is Word.AUTHORISE:
+        elif command is OperatorCommand.AUTHORISE:
             air.authorise(until_s)
-        elif command is Word.REFUSE:
+        elif command is OperatorCommand.REFUSE:
             air.chain.refuse(handover, reason)
         else:
             air.chain.accept(handover)
@@ -374,6 +375,6 @@ def _decoders(sharing: Mapping[str, tuple[str, ...]], codecs: Mapping[str, Stati
     decoders = {}
     for url, stations in sharing.items():
         codec = codecs[stations[0]]
-        stream = parse_url(url).scheme in STREAM_SCHEMES
+        stream = parse_url(url).is_stream
         decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
     return decoders

@@ -72,9 +72,9 @@ class Diversion:
 def over_safe_point(plan: Plan, station_index: int, stop_enu_m: Vector, safe_point: str) -> Vector | None:
     """The place over a safe point at the height of ``stop_enu_m``; None where the way leaves the station's range."""
     point = next(p for p in plan.mission.safe_points if p.id == safe_point)
-    ground = plan.ground.enu_m([point.position])[0]
+    ground = plan.geometry.enu_m([point.position])[0]
     over = (float(ground[0]), float(ground[1]), stop_enu_m[2])
     # A ball is convex: with its corners inside, the way there and down is.
     corners = np.array([stop_enu_m, over, ground])
-    outside = plan.ground.outside_m(np.array([station_index] * 3), corners)
+    outside = plan.geometry.outside_m(np.array([station_index] * 3), corners)
     return over if bool((outside <= 0.0).all()) else None

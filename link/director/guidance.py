@@ -14,8 +14,8 @@ from link.handover.handover_chain import HandoverChain
 from link.monitors.latency_compensation import LatencyCompensation
 from link.monitors.tracking import LagMonitor
 from link.session.context import FlightContext
-from link.setpoints.reference import Reference
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.reference import ReferenceTrajectory
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.straight_line import StraightLine
 
 Vector = tuple[float, float, float]
@@ -48,11 +48,11 @@ class Guidance:
         self._chain = chain
         self._latency = latency
         self._lag = lag
-        self.stream = SetpointStream(flight.plan, flight.request.rate_hz)
+        self.stream = SetpointSampler(flight.plan, flight.request.rate_hz)
         # Tables are made now, on the ground: later they would cost ticks.
         self.stream.at(0.0)
         self._accel_m_s2 = flight.plan.mission.limits.max_accel_m_s2
-        self._on_plan = Reference(self.stream, accel_m_s2=self._accel_m_s2)
+        self._on_plan = ReferenceTrajectory(self.stream, accel_m_s2=self._accel_m_s2)
         self.reference = self._on_plan
         self.course = Course.PLAN
         self.join_s = 0.0
@@ -89,7 +89,7 @@ class Guidance:
             yaw_deg=join.yaw_deg,
         )
         self.join_s = time_s
-        self.reference, self.course = Reference(line, accel_m_s2=accel_m_s2), Course.TRANSIT
+        self.reference, self.course = ReferenceTrajectory(line, accel_m_s2=accel_m_s2), Course.TRANSIT
 
     def join_plan(self, rate: float) -> None:
         """On the plan from here on, at the place the transit led to."""
@@ -108,7 +108,7 @@ class Guidance:
             accel_m_s2=DIVERSION_ACCEL_SHARE * self._accel_m_s2,
             yaw_deg=here.yaw_deg,
         )
-        self.reference, self.course = Reference(line, accel_m_s2=self._accel_m_s2), Course.DIVERSION
+        self.reference, self.course = ReferenceTrajectory(line, accel_m_s2=self._accel_m_s2), Course.DIVERSION
 
     def take_plan(self, upcoming: NextPlan, time_s: float) -> None:
         """On by another plan, at the same place, which has this time on it, and at the same rate."""

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gcs.flight import EventKind, FlightState
-from gcs.plan import Place, own_returns
+from gcs.plan import Place, failsafe_returns
 from link.dialect import mavlink
 from link.director.borrowed_settings import BorrowedSettings
 from link.director.takeoff import TakeOff
@@ -19,11 +19,11 @@ from link.handover import gcs_ids
 from link.handover.gcs_ids import GcsIds
 from link.handover.handover_chain import attempt_time_s
 from link.microservices.command import Ticket
-from link.microservices.mission_client import MissionDesk
+from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
 from link.preflight.check import Check, Level, worst, worst_first
-from link.preflight.failsafe_return import judge_own_return, return_rules
+from link.preflight.failsafe_return import judge_failsafe_return, return_rules
 from link.preflight.geofence import judge_limits
 from link.preflight.identity import Identity, judge_identity
 from link.preflight.link import judge_link
@@ -64,7 +64,7 @@ STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
 class Launch:
     """The procedure on the ground and the climb. ``commanded``: whether the operator has said to go."""
 
-    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionDesk) -> None:
+    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
         self._flight = flight
         self._request = flight.request
         self._timeline = flight.timeline
@@ -162,7 +162,7 @@ class Launch:
         """A vehicle that enforces other stations' ids answers nothing: say so, or open it with its own id."""
         control = self._control
         ticket = yield from self._command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,))
-        if ticket.result is not None or self._vehicle.profile.name != "ardupilot":
+        if ticket.result is not None or not self._vehicle.profile.filters_station_ids:
             return
         hint = "it may be locked to other stations' ids (MAV_OPTIONS bit 0)"
         if not self._request.rescue:
@@ -261,7 +261,7 @@ class Launch:
             judge_plan(
                 self._flight.plan,
                 tuple(dict.fromkeys(self._flight.plan.station_ids)),
-                words=self._request.operator_words,
+                operator_commands=self._request.operator_words,
             ),
         ]
 
@@ -357,8 +357,8 @@ class Launch:
         checks += yield from borrowed.take_rally(self.ground_amsl_m)
         checks += yield from borrowed.take_geofence(self.values, home_enu_m)
         rules = return_rules(self._vehicle.profile, self.values, self._flight.plan, home_enu_m, borrowed.points)
-        returns = own_returns(self._flight.plan.ground, self._flight.plan.trajectory, rules)
-        return [*checks, *judge_own_return(self._flight.plan, rules, returns)]
+        returns = failsafe_returns(self._flight.plan.geometry, self._flight.plan.trajectory, rules)
+        return [*checks, *judge_failsafe_return(self._flight.plan, rules, returns)]
 
     def restore(self) -> Steps[None]:
         """Give back what was changed in the vehicle for this flight; on the ground, disarmed."""

@@ -85,7 +85,7 @@ class LostC2Link:
         drifting = vehicle.mode in (vehicle.profile.offboard_mode, vehicle.profile.hold_mode)
         if self._resort or (timeline.now_s - self._since_s >= self._request.hold_limit_s and drifting):
             self._command_last_resort()
-        elif self._pin and vehicle.profile.name == "px4" and vehicle.mode == vehicle.profile.offboard_mode:
+        elif self._pin and vehicle.profile.resumes_offboard_unasked and vehicle.mode == vehicle.profile.offboard_mode:
             self._asked_s = timeline.now_s
             self._control.start_mode(vehicle.profile.hold_mode)
         return None
@@ -133,7 +133,7 @@ class LostC2Link:
         self._chain.leg = leg
         control.grant(station, "resume")
         vehicle.adopt_origin(station)
-        if vehicle.profile.name == "px4":
+        if vehicle.profile.resumes_offboard_unasked:
             yield from self._mode(vehicle.profile.hold_mode)
         still = StraightLine(self._flight.plan, leg, here, here, speed_m_s=1.0, climb_m_s=1.0, accel_m_s2=1.0)
         if vehicle.profile.stream_before_offboard_s > 0.0:
@@ -170,7 +170,7 @@ class LostC2Link:
             station = plan.mission.stations[index].id
             if not self._vehicle.monitor.proven_within(self._timeline.now_s, station, PROVEN_S):
                 continue
-            if float(plan.ground.outside_m(np.array([index]), here[None, :])[0]) > 0.0:
+            if float(plan.geometry.outside_m(np.array([index]), here[None, :])[0]) > 0.0:
                 continue
             low = chain.windows[leg - 1].open_s if leg > 0 else 0.0
             high = chain.windows[leg].limit_s if leg < len(chain.windows) else plan.mission_time_s

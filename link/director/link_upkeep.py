@@ -37,7 +37,7 @@ class LinkUpkeep:
         """Let another of a station's links send where it is proved and the present one is not."""
         timeline = self._timeline
         for link in self._vehicle.monitor.links.values():
-            if len(link.carriers) == 1:
+            if len(link.paths) == 1:
                 continue
             near = link.station_id in self._near or not timeline.state.airborne
             before = link.choose(FAILOVER_S if near else IDLE_FAILOVER_S)

@@ -16,15 +16,15 @@ import numpy as np
 
 from gcs.errors import PlanError
 from gcs.flight import TransitionError
-from gcs.plan import Plan
+from gcs.plan import Plan, read_plan
 from link.handover.handover import handover_windows
 from link.preflight.check import Check, Level, worst_first
 from link.preflight.route import judge_stops
 from link.preflight.vehicle import judge_performance
 from link.session.context import FlightContext
 from link.session.request import FlightRequest, launch_problems
-from link.setpoints.reference import Reference
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.reference import ReferenceTrajectory
+from link.setpoints.sampler import SetpointSampler
 
 SAME_M, SAME_M_S, SAME_M_S2 = 0.01, 0.01, 0.01
 """Two plans ask for the same when they differ by no more."""
@@ -39,8 +39,8 @@ class NextPlan:
     """A plan with all its tables, fit to be flown by this flight."""
 
     plan: Plan
-    stream: SetpointStream
-    reference: Reference
+    stream: SetpointSampler
+    reference: ReferenceTrajectory
 
 
 def make_ready(document: Mapping[str, Any], flight: FlightContext, values: Mapping[str, Any]) -> NextPlan:
@@ -50,7 +50,7 @@ def make_ready(document: Mapping[str, Any], flight: FlightContext, values: Mappi
     this flight cannot fly it.
     """
     try:
-        plan = Plan.from_document(document)
+        plan = read_plan(document)
     except PlanError as error:
         raise TransitionError(f"this is no plan: {error}") from None
     reasons = _unfit(plan, flight)
@@ -60,9 +60,9 @@ def make_ready(document: Mapping[str, Any], flight: FlightContext, values: Mappi
             reasons.append(f"{check.name}: {check.message}")
     if reasons:
         raise TransitionError("the new plan cannot be flown: " + "; ".join(reasons))
-    stream = SetpointStream(plan, flight.request.rate_hz)
+    stream = SetpointSampler(plan, flight.request.rate_hz)
     stream.at(0.0)
-    return NextPlan(plan, stream, Reference(stream, accel_m_s2=plan.mission.limits.max_accel_m_s2))
+    return NextPlan(plan, stream, ReferenceTrajectory(stream, accel_m_s2=plan.mission.limits.max_accel_m_s2))
 
 
 def judge_next(plan: Plan, request: FlightRequest, *, loss_timeout_s: float, after_s: float) -> list[Check]:
@@ -97,7 +97,7 @@ def _unfit(plan: Plan, flight: FlightContext) -> list[str]:
 
 
 def time_and_leg(
-    upcoming: NextPlan, stream: SetpointStream, leave_s: float, station: str, join_s: float | None
+    upcoming: NextPlan, stream: SetpointSampler, leave_s: float, station: str, join_s: float | None
 ) -> tuple[float, int]:
     """Where on the new plan a flight goes on that is at ``leave_s`` of the old one, and on which leg.
 
@@ -126,7 +126,7 @@ def time_and_leg(
     raise TransitionError(f"the new plan has {ids[planned]} in control here, and {station} is")
 
 
-def _same(upcoming: NextPlan, stream: SetpointStream, time_s: float) -> None:
+def _same(upcoming: NextPlan, stream: SetpointSampler, time_s: float) -> None:
     for ahead_s in (0.0, 0.5 * AHEAD_S, AHEAD_S):
         at_s = min(time_s + ahead_s, stream.duration_s)
         there, here = upcoming.stream.at(at_s), stream.at(at_s)

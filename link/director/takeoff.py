@@ -13,7 +13,7 @@ from gcs.flight import EventKind, FlightState
 from link.dialect import mavlink
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps, answered, wait_until
-from link.setpoints.reference import Reference
+from link.setpoints.reference import ReferenceTrajectory
 from link.setpoints.setpoint import Setpoint
 from link.setpoints.straight_line import StraightLine
 
@@ -35,7 +35,7 @@ class TakeOff:
 
     def run(self, ground_amsl_m: float) -> Steps[None]:
         """All of it, from the ground at that altitude. Raises `Refused` while the vehicle is on the ground."""
-        if self._vehicle.profile.name == "ardupilot":
+        if self._vehicle.profile.climbs_by_command:
             yield from self._ardupilot(ground_amsl_m)
         else:
             yield from self._px4(ground_amsl_m)
@@ -82,7 +82,7 @@ class TakeOff:
             climb_m_s=self._request.climb_m_s,
             accel_m_s2=1.0,
         )
-        climb = Reference(line, accel_m_s2=1.0)
+        climb = ReferenceTrajectory(line, accel_m_s2=1.0)
         started_s = timeline.now_s
         while timeline.now_s - started_s < vehicle.profile.stream_before_offboard_s + 0.5:
             control.send_setpoint(climb.setpoint())

@@ -2,5 +2,6 @@
 
 from link.files.flight_report import report_flight
 from link.files.setpoint_files import FORMATS, Format, setpoint_file
+from link.files.tlog import read_tlog
 
-__all__ = ["FORMATS", "Format", "report_flight", "setpoint_file"]
+__all__ = ["FORMATS", "Format", "read_tlog", "report_flight", "setpoint_file"]

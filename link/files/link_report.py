@@ -1,10 +1,10 @@
-"""The links of a flight, from its log: each station's probes (TIMESYNC, 111) and what the vehicle answered.
+"""The C2 links of a flight, from its log: each station's probes (TIMESYNC, 111) and what the vehicle answered.
 
 A probe's number comes back in its answer, so every answer is known by the station that asked. A log does not say which
-of a station's ways brought a frame: the figures are of its ways together, each answer taken as it first came. Times are
-the flight's seconds, from the whole log, ground time included.
+of a station's link paths brought a frame: the figures are of its paths together, each answer taken as it first came.
+Times are the flight's seconds, from the whole log, ground time included.
 
-What a log cannot tell is told by the flight's events (`History`): which way sent, and the streamer's own count of
+What a log cannot tell is told by the flight's events (`History`): which path sent, and the streamer's own count of
 lateness.
 """
 
@@ -26,11 +26,11 @@ from link.telemetry.link_path import PROBE_LOST_S
 
 @dataclass(frozen=True)
 class LinkReport:
-    """A station's link. None where the log does not tell.
+    """A station's C2 link. None where the log does not tell.
 
-    ``loss`` is the share of probes never answered, whichever way lost them; ``latency_ms`` half of the median round
+    ``loss`` is the share of probes never answered, whichever path lost them; ``latency_ms`` half of the median round
     trip; ``round_trip_worst_ms`` the longest; ``jitter_ms`` the mean change from one round trip to the next;
-    ``failovers`` how often another of its ways came to send.
+    ``failovers`` how often another of its paths came to send.
     """
 
     station: str
@@ -52,7 +52,7 @@ class LinkReport:
                 f"there and back {self.round_trip_worst_ms:.0f} ms at worst"
             )
         if self.failovers:
-            told += f", another way sent {self.failovers} time{'s' if self.failovers > 1 else ''}"
+            told += f", another link path sent {self.failovers} time{'s' if self.failovers > 1 else ''}"
         return told
 
 
@@ -78,7 +78,7 @@ class ProbeCount:
         return 0.5 * min(self._trips.values(), default=0.0)
 
     def links(self, end_s: float, failovers: Mapping[str, int] | None) -> tuple[LinkReport, ...]:
-        """The figures at the log's end; probes on their way then are not counted."""
+        """The figures at the log's end; probes under way then are not counted."""
         return tuple(
             self._link(station, end_s, None if failovers is None else failovers.get(station, 0))
             for station in dict.fromkeys(self._stations.values())

@@ -7,29 +7,23 @@ autopilot profile's message from the system id of the station in control, with t
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
-import secrets
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal
+from typing import Literal
 
 import numpy as np
 
+from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
 from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
 from link.files.tlog import record
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import SetpointBlock
 from link.wire.codec import StationCodec
-
-if TYPE_CHECKING:
-    from gcs.plan import Plan
 
 Format = Literal["csv", "jsonl", "tlog"]
 FORMATS: tuple[Format, ...] = ("csv", "jsonl", "tlog")
@@ -79,7 +73,7 @@ def setpoint_file(
         raise ValueError(f"format is {file_format!r}, allowed are {', '.join(FORMATS)}")
     if autopilot not in PROFILES:
         raise ValueError(f"autopilot is {autopilot!r}, allowed are {', '.join(PROFILES)}")
-    stream = SetpointStream(plan, rate_hz)
+    stream = SetpointSampler(plan, rate_hz)
     if file_format == "csv":
         return _csv(stream)
     if file_format == "jsonl":
@@ -90,43 +84,7 @@ def setpoint_file(
     return _tlog(stream, PROFILES[autopilot], base, origin)
 
 
-def write_setpoints(
-    plan: Plan,
-    rate_hz: float,
-    file_format: Format,
-    path: str | Path,
-    *,
-    autopilot: str = "px4",
-    launch: datetime | None = None,
-    origin: EkfOrigin | None = None,
-) -> None:
-    """Write `setpoint_file` to ``path``: the whole file or none. `OSError` when it cannot be written."""
-    pieces = setpoint_file(plan, rate_hz, file_format, autopilot=autopilot, launch=launch, origin=origin)
-    with atomic_file(path) as out:
-        for piece in pieces:
-            out.write(piece)
-
-
-@contextlib.contextmanager
-def atomic_file(path: str | Path) -> Iterator[BinaryIO]:
-    """A file that appears under its name only when the block ends well, and is on disk by then."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    # Not tempfile: its files are private, and a result is as readable as any other file.
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-    try:
-        with os.fdopen(descriptor, "wb") as out:
-            yield out
-            out.flush()
-            os.fsync(out.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        raise
-
-
-def _columns(stream: SetpointStream, block: SetpointBlock) -> list[list[object]]:
+def _columns(stream: SetpointSampler, block: SetpointBlock) -> list[list[object]]:
     """The contract's columns, unrounded."""
     p, v, a = block.position_enu_m, block.velocity_enu_m_s, block.acceleration_enu_m_s2
     numbers = [
@@ -142,7 +100,7 @@ def _columns(stream: SetpointStream, block: SetpointBlock) -> list[list[object]]
     return columns
 
 
-def _csv(stream: SetpointStream) -> Iterator[bytes]:
+def _csv(stream: SetpointSampler) -> Iterator[bytes]:
     # A station id holds neither comma nor quote (gcs.mission.model), so nothing needs quoting.
     yield (",".join(COLUMNS) + "\n").encode()
     row = ",".join("%s" if d is None else f"%.{d}f" for d in _DECIMALS) + "\n"
@@ -158,7 +116,7 @@ def _csv(stream: SetpointStream) -> Iterator[bytes]:
         yield "".join([row % values for values in zip(*columns, strict=True)]).encode()
 
 
-def _jsonl(stream: SetpointStream) -> Iterator[bytes]:
+def _jsonl(stream: SetpointSampler) -> Iterator[bytes]:
     # A template is four times faster than json.dumps of a dictionary a line; repr is how JSON writes a finite float.
     row = (
         "{"
@@ -173,7 +131,7 @@ def _jsonl(stream: SetpointStream) -> Iterator[bytes]:
 
 
 def _tlog(
-    stream: SetpointStream, profile: AutopilotProfile, launch: datetime, origin: EkfOrigin | None
+    stream: SetpointSampler, profile: AutopilotProfile, launch: datetime, origin: EkfOrigin | None
 ) -> Iterator[bytes]:
     plane = stream.plan.plane
     if origin is None:

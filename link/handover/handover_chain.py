@@ -46,7 +46,7 @@ class HandoverChain:
             return asked
         if math.isfinite(vehicle.monitor.control_s):
             return HandoverWay.OPERATOR_CONTROL
-        return HandoverWay.RANGE if vehicle.profile.name == "ardupilot" else HandoverWay.GATE
+        return HandoverWay.RANGE if vehicle.profile.filters_station_ids else HandoverWay.GATE
 
     @property
     def moving(self) -> bool:

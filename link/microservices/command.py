@@ -70,7 +70,6 @@ class Commander:
         self._send = send
         self._system_ids = system_ids
         self._tickets: dict[int, Ticket] = {}
-        self.unexpected_acks = 0
 
     def start(
         self,
@@ -108,7 +107,6 @@ class Commander:
         """
         ticket = self._tickets.get(ack.command)
         if ticket is None or ack.target_system not in (0, self._own_id(ticket)):
-            self.unexpected_acks += 1
             return None
         if ack.result == mavlink.MAV_RESULT_IN_PROGRESS:
             ticket.progress.append(int(ack.progress))

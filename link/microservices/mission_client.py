@@ -1,5 +1,6 @@
-"""One list transfer at a time over the gate: what `link.microservices.mission_upload` wants is sent, what comes is
-passed on.
+"""MAVLink's mission microservice over the gate, one list transfer at a time.
+
+What `link.microservices.mission_upload` wants is sent, what comes is passed on.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from link.microservices.mission_download import MissionTransfer
 from link.transport.gate import ControlGrant
 
 
-class MissionDesk:
+class MissionClient:
     """Runs transfers of one flight. ``send`` is the gate's."""
 
     def __init__(self, send: Callable[[ControlGrant, Any], object]) -> None:

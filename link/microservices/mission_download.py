@@ -1,7 +1,7 @@
-"""Reading a mission, fence or rally list, and what all transfers share; `link.microservices.mission_upload` writes
-them.
+"""MAVLink's mission microservice: reading a mission, fence or rally list, and what all transfers share.
 
-State machines without I/O: feed them messages and the time, send what they give back.
+`link.microservices.mission_upload` writes them. State machines without I/O: feed them messages and the time, send what
+they give back.
 """
 
 from __future__ import annotations
@@ -221,10 +221,6 @@ class MissionTraits:
 
     keeps_old_after_failure: bool
     """False: items already received have overwritten the old mission; upload again or clear."""
-    honours_cancel: bool
-    """Whether the station's MISSION_ACK (cancelled) ends an upload at once."""
-    upload_timeout_s: float
-    """After this long without an item the vehicle gives up by itself."""
     first_item_is_home: bool
     """Item 0 is the home position, not the first waypoint."""
     keeps_parameters: bool

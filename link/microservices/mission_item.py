@@ -1,4 +1,4 @@
-"""Mission, fence and rally items as data, and their MISSION_ITEM_INT.
+"""MAVLink's mission microservice: mission, fence and rally items as data, and their MISSION_ITEM_INT.
 
 Positions are degrees; what ``alt_m`` counts from is the item's frame. No vehicle checks all of this: PX4 stores
 latitude 95 as it is, so an item is checked when it is made.
@@ -131,15 +131,6 @@ class MissionItem:
             (math.isnan(a) and math.isnan(b)) or math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-6)
             for a, b in zip(self.parameters, other.parameters, strict=True)
         )
-
-
-def waypoint(
-    lat_deg: float, lon_deg: float, alt_m: float, *, frame: int = AMSL, hold_s: float = 0.0, acceptance_m: float = 0.0
-) -> MissionItem:
-    """A place to fly to (MAV_CMD_NAV_WAYPOINT); the heading is left to the vehicle."""
-    return MissionItem(
-        mavlink.MAV_CMD_NAV_WAYPOINT, lat_deg, lon_deg, alt_m, frame, (hold_s, acceptance_m, 0.0, math.nan)
-    )
 
 
 def rally_point(lat_deg: float, lon_deg: float, alt_m: float, *, frame: int = RELATIVE) -> MissionItem:

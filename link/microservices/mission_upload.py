@@ -1,6 +1,7 @@
-"""Mission, fence and rally lists to and from a vehicle over a bad link, as state machines without I/O.
+"""MAVLink's mission microservice: mission, fence and rally lists to and from a vehicle over a bad link.
 
-Feed them messages and the time; they give back messages to send and when they want to be called next::
+State machines without I/O. Feed them messages and the time; they give back messages to send and when they want to be
+called next::
 
     transfer.start(now_s)
     loop: send transfer.take_outgoing(); transfer.receive(message, now_s) for each that came;
@@ -92,7 +93,6 @@ class _Verified(MissionTransfer):
         self._attempt = 0
         self._check: MissionDownload | None = None
         self._pause: Literal["attempt", "check", None] = None
-        self._why = ""
 
     def _start(self, now_s: float) -> None:
         self._begin(now_s)
@@ -108,7 +108,6 @@ class _Verified(MissionTransfer):
 
     def _again(self, now_s: float, reason: Any, message: str, pause_s: float | None = None) -> None:
         """One attempt is over without success: another, or the end."""
-        self._why = message
         if self._attempt >= self.timing.attempts:
             self._fail(reason, f"{message} ({self._attempt} attempts)")
         else:

@@ -32,7 +32,7 @@ class RangeWatch:
             return
         self._seen = (position.boot_s, station)
         index = np.array([self._flight.plan.mission.station_index(station)])
-        self.margin_m = -float(self._flight.plan.ground.outside_m(index, np.array([here]))[0])
+        self.margin_m = -float(self._flight.plan.geometry.outside_m(index, np.array([here]))[0])
         # A metre of doubt, so that it is told once.
         was, self.left = self.left, self.margin_m < (0.0 if not self.left else 1.0)
         if self.left and not was:

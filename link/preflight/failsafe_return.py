@@ -1,13 +1,13 @@
-"""Where the autopilot's own return would take the vehicle, judged before the flight."""
+"""The failsafe return: where the autopilot would take the vehicle by itself, judged before the flight."""
 
 from __future__ import annotations
 
 import math
 
-from gcs.plan import OwnReturn, Place, Plan, ReturnRules
+from gcs.plan import FailsafeReturn, Place, Plan, ReturnRules
+from link.autopilot.parameter_catalogue import Values
 from link.autopilot.profile import AutopilotProfile
 from link.preflight.check import Check, Level
-from link.preflight.failsafe_parameters import Values
 
 
 def return_rules(
@@ -36,33 +36,33 @@ def return_rules(
     )
 
 
-def judge_own_return(plan: Plan, rules: ReturnRules, returns: tuple[OwnReturn, ...]) -> list[Check]:
+def judge_failsafe_return(plan: Plan, rules: ReturnRules, returns: tuple[FailsafeReturn, ...]) -> list[Check]:
     """Where the autopilot's own failsafe takes the vehicle: in range or not, how long, how high."""
     duration_s = plan.mission_time_s
-    share = sum(way.to_s - way.from_s for way in returns if not way.covered) / duration_s
-    longest = max(returns, key=lambda way: way.duration_s)
-    places = list(dict.fromkeys(way.to or "home" for way in returns))
+    share = sum(span.to_s - span.from_s for span in returns if not span.covered) / duration_s
+    longest = max(returns, key=lambda span: span.duration_s)
+    places = list(dict.fromkeys(span.to or "home" for span in returns))
     begun = "" if share == 0.0 else f" when begun in {share:.0%} of the flight"
     told = "stays in range throughout" if share == 0.0 else f"leaves every range{begun}"
     checks = [
         Check(
-            "own return",
+            "failsafe return",
             Level.PASS if share == 0.0 else Level.WARNING,
-            f"the autopilot's own return, straight to {' or '.join(places)}, {told}; "
+            f"the autopilot's failsafe return, straight to {' or '.join(places)}, {told}; "
             f"it takes up to {longest.duration_s:.0f} s",
             {"share_outside": round(share, 3), "longest_s": round(longest.duration_s, 1), "places": places},
             "known to the crew",
-            fix="add safe points in range along the path, or let the crew expect the silence",
+            fix="add safe points in range along the path, or let the crew expect a lost C2 link",
         )
     ]
     limits = plan.mission.limits
     if limits.endurance_s is not None:
-        late = max(returns, key=lambda way: way.to_s + way.duration_s)
+        late = max(returns, key=lambda span: span.to_s + span.duration_s)
         whole_s = late.to_s + late.duration_s
         fits = whole_s <= limits.endurance_s
         checks.append(
             Check(
-                "own return endurance",
+                "failsafe return endurance",
                 Level.PASS if fits else Level.WARNING,
                 f"a return begun at T+{late.to_s:.0f} s ends at T+{whole_s:.0f} s",
                 round(whole_s, 1),
@@ -77,7 +77,7 @@ def judge_own_return(plan: Plan, rules: ReturnRules, returns: tuple[OwnReturn, .
             Check(
                 "return altitude",
                 Level.WARNING if over else Level.PASS,
-                f"the autopilot's own return climbs to {height_amsl_m:.0f} m AMSL"
+                f"the autopilot's failsafe return climbs to {height_amsl_m:.0f} m AMSL"
                 + (f", above the mission's {limits.max_alt_amsl_m:g} m" if over else ""),
                 round(height_amsl_m, 1),
                 f"at most {limits.max_alt_amsl_m:g} m AMSL, where the airspace asks for it",

@@ -1,11 +1,11 @@
 """The vehicle's own fence against the plan: one that would act inside it, and one laid around it on request.
 
 A fence acts by itself: a plan that leaves it ends in the fence's action, in mid-flight. So what is in force is judged
-before the flight: PX4's polygons always are, its distances when not 0; ArduPilot's by FENCE_ENABLE and FENCE_TYPE.
+before the flight; the profile says which kinds are.
 
 The fence laid on request is one convex polygon around everything the vehicle may do by itself: the path, and every
-straight way from it to home and to the rally points, with a margin. Anything narrower would stop the autopilot's own
-return at the fence.
+straight line from it to home and to the rally points, with a margin. Anything narrower would stop the failsafe return
+at the fence.
 
 Source: MAVLink fence items (MAV_CMD_NAV_FENCE_*, 5001-5004); parameter definitions of both autopilots.
 """
@@ -16,41 +16,24 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.plan import Place, Plan
-from link.autopilot.profile import AutopilotProfile
+from link.autopilot.parameter_catalogue import Values
+from link.autopilot.profile import FENCE_CIRCLE, FENCE_HEIGHT, FENCE_POLYGONS, AutopilotProfile
 from link.dialect import mavlink
 from link.microservices.mission_item import MissionItem, inclusion_fence
 from link.preflight.check import Check, Level
-from link.preflight.failsafe_parameters import Values
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags
 
 SIDES = 16
 """Of the polygon laid: a vehicle stores few corners (PX4 16 at least), and this many cost 2 % of area."""
 MARGIN_S = 5.0
 LEAST_MARGIN_M = 50.0
 PATH_STEP_S = 0.5
-HEIGHT, CIRCLE, POLYGONS = 1, 2, 4
-"""Bits of ArduPilot's FENCE_TYPE."""
 INSIDE_POLYGON = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 OUTSIDE_POLYGON = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 INSIDE_CIRCLE = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
 OUTSIDE_CIRCLE = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
-
-ACTIONS = {
-    "px4": {0: "nothing", 1: "a text", 2: "hold", 3: "return", 4: "terminate", 5: "land"},
-    "ardupilot": {
-        0: "a text",
-        1: "return, or land",
-        2: "land",
-        3: "smart return, return or land",
-        4: "brake, or land",
-        5: "smart return, or land",
-    },
-}
-TEXT_ONLY = {"px4": (0, 1), "ardupilot": (0,)}
 
 
 def path_m(plan: Plan) -> Array:
@@ -77,25 +60,21 @@ def around(plan: Plan, home_enu_m: Place, points: Sequence[Place]) -> list[Missi
 
 def in_force(profile: AutopilotProfile, values: Values) -> bool:
     """Whether polygons stored in the vehicle act, or may."""
-    if profile.name == "px4":
-        return True
-    kinds = profile.measure(values, "fence_type")
-    return bool(profile.measure(values, "fence_enabled")) and (kinds is None or bool(int(kinds) & POLYGONS))
+    kinds = profile.fence_kinds(values)
+    return kinds is None or bool(kinds & FENCE_POLYGONS)
 
 
 def judge_limits(profile: AutopilotProfile, values: Values, plan: Plan, home_enu_m: Place) -> list[Check]:
     """The fence's distance and height about home, where they are in force."""
-    action = profile.measure(values, "fence_action")
-    enabled = profile.name == "px4" or bool(profile.measure(values, "fence_enabled"))
-    kinds = HEIGHT | CIRCLE if profile.name == "px4" else int(profile.measure(values, "fence_type") or 0)
-    if not enabled:
+    kinds = profile.fence_kinds(values)
+    if not kinds:
         return []
     path = path_m(plan)
     asked = {
-        "fence_radius": (CIRCLE, float(np.hypot(*(path[:, :2] - home_enu_m[:2]).T).max()), "from home"),
-        "fence_height": (HEIGHT, float(path[:, 2].max() - home_enu_m[2]), "above home"),
+        "fence_radius": (FENCE_CIRCLE, float(np.hypot(*(path[:, :2] - home_enu_m[:2]).T).max()), "from home"),
+        "fence_height": (FENCE_HEIGHT, float(path[:, 2].max() - home_enu_m[2]), "above home"),
     }
-    harmless = action is not None and int(action) in TEXT_ONLY[profile.name]
+    _, harmless = profile.fence_action(values)
     checks = []
     for key, (bit, far_m, where) in asked.items():
         parameter = values.get(key)
@@ -115,9 +94,7 @@ def judge_stored(profile: AutopilotProfile, values: Values, plan: Plan, items: S
         return Check("fence", Level.PASS, "the vehicle holds no fence", 0)
     path = path_m(plan)[:, :2]
     outside = _outside(plan, items, path)
-    action = profile.measure(values, "fence_action")
-    does = ACTIONS[profile.name].get(-1 if action is None else int(action), "an action nobody knows")
-    harmless = action is not None and int(action) in TEXT_ONLY[profile.name]
+    does, harmless = profile.fence_action(values)
     if not outside:
         message = f"the plan stays inside the vehicle's own fence of {len(items)} items (its action: {does})"
         return Check("fence", Level.PASS, message, len(items), "the plan inside it")
@@ -153,7 +130,7 @@ def _plane_m(plan: Plan, items: Sequence[MissionItem]) -> Array:
     return np.stack([np.asarray(east), np.asarray(north)], axis=-1)
 
 
-def _in_polygon(places: Array, corners: Array) -> NDArray[np.bool_]:
+def _in_polygon(places: Array, corners: Array) -> Flags:
     """Whether each place is inside, by the number of sides a ray to the east crosses."""
     inside = np.zeros(len(places), dtype=bool)
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):

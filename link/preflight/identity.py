@@ -7,10 +7,6 @@ from dataclasses import dataclass
 from link.autopilot.profile import AutopilotProfile
 from link.preflight.check import Check, Level
 
-OLDEST = {"px4": (1, 12), "ardupilot": (4, 3)}
-"""Firmware that the profiles were made for."""
-_ROTORCRAFT = frozenset({2, 3, 4, 13, 14, 15, 29, 35})
-_VTOL = frozenset(range(19, 26))
 _RELEASES = ((64, "dev"), (128, "alpha"), (192, "beta"), (255, "rc"))
 
 
@@ -51,19 +47,19 @@ class Identity:
 
 def judge_identity(profile: AutopilotProfile, identity: Identity | None, vehicle_type: int | None) -> list[Check]:
     """Findings about who the vehicle is; ``vehicle_type`` is the MAV_TYPE of its HEARTBEAT."""
-    oldest = ".".join(map(str, OLDEST[profile.name]))
+    oldest = ".".join(map(str, profile.oldest_firmware))
     required = f"{profile.title} {oldest} or newer"
     if identity is None:
         message = f"{profile.title}; it does not tell its version"
         check = Check("vehicle", Level.WARNING, message, None, required, fix="look up its firmware before you fly")
     else:
-        old = identity.version[:2] < OLDEST[profile.name]
+        old = identity.version[:2] < profile.oldest_firmware
         message = f"{profile.title} {identity.text}" + ("; older than what this was made for" if old else "")
         level = Level.WARNING if old else Level.PASS
         check = Check("vehicle", level, message, ".".join(map(str, identity.version)), required, fix="update it")
     if vehicle_type is None:
         return [check]
-    fit = vehicle_type in (_ROTORCRAFT | _VTOL if profile.name == "px4" else _ROTORCRAFT)
+    fit = vehicle_type in profile.airframes
     return [
         check,
         Check(

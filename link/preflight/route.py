@@ -1,4 +1,4 @@
-"""What the crew should know of the plan's way before take-off: the ground under it, and where a stop comes too late."""
+"""What the crew should know of the plan's path before take-off: the ground below, and where a stop comes too late."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from gcs.plan import Plan
 from link.handover.handover_chain import TAKEOVER_SHARE
 from link.preflight.check import Check, Level
-from link.setpoints.reference import Reference
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.reference import ReferenceTrajectory
+from link.setpoints.sampler import SetpointSampler
 
 HANDED_OVER_S = 0.3
-"""Until the handover is confirmed, and until the old station has taken over again: answers there and back."""
+"""Until the handover is confirmed, and until the transferring station has taken over again: answers there and back."""
 _SAMPLE_S = 0.2
 _STEP_S, _BEHIND_S = 0.05, 1.0
 
@@ -41,14 +41,15 @@ def judge_lowest(plan: Plan, ground_amsl_m: float) -> Check:
 
 
 def judge_stops(plan: Plan, loss_timeout_s: float, *, after_s: float = 0.0) -> list[Check]:
-    """Whether the flight can still stop in the old station's range when the new one dies right after a handover.
+    """Whether the flight can still stop in the transferring station's range when the receiving one fails at once.
 
-    Such a death is noticed after `link.handover.handover_chain.TAKEOVER_SHARE` of ``loss_timeout_s`` (the autopilot's);
-    the old station then takes over, and the flight brakes as hard as the plan allows
-    (`link.setpoints.reference.Reference`). One check a handover for which that is too late, or one that passes.
+    Such a failure is noticed after `link.handover.handover_chain.TAKEOVER_SHARE` of ``loss_timeout_s`` (the
+    autopilot's); the transferring station then takes over again, and the flight brakes as hard as the plan allows
+    (`link.setpoints.reference.ReferenceTrajectory`). One check a handover for which that is too late, or one that
+    passes.
     ``after_s``: handovers later in the plan than this alone.
     """
-    reference = Reference(SetpointStream(plan), accel_m_s2=plan.mission.limits.max_accel_m_s2)
+    reference = ReferenceTrajectory(SetpointSampler(plan), accel_m_s2=plan.mission.limits.max_accel_m_s2)
     checks, spare_s = [], math.inf
     handovers = [handover for handover in plan.handovers if handover.time_s > after_s]
     for handover in handovers:
@@ -58,29 +59,32 @@ def judge_stops(plan: Plan, loss_timeout_s: float, *, after_s: float = 0.0) -> l
         spare_s = min(spare_s, left_s - needed_s)
         if needed_s <= left_s:
             continue
-        old = np.array([plan.mission.station_index(handover.from_station)])
-        way = plan.trajectory.evaluate(np.linspace(handover.time_s, stop_s, 100))
-        outside_m = max(0.0, float(plan.ground.outside_m(np.repeat(old, 100), way).max()))
+        transferring = np.array([plan.mission.station_index(handover.from_station)])
+        beyond = plan.trajectory.evaluate(np.linspace(handover.time_s, stop_s, 100))
+        outside_m = max(0.0, float(plan.geometry.outside_m(np.repeat(transferring, 100), beyond).max()))
+        speed_m_s = reference.speed_m_s(handover.time_s)
         checks.append(
             Check(
                 f"handover {handover.index}",
                 Level.WARNING,
-                f"the path leaves the range of {handover.from_station} {left_s:.1f} s after it; to notice a failure of "
-                f"{handover.to_station} and to stop from {reference.speed_m_s(handover.time_s):.0f} m/s takes "
-                f"{needed_s:.1f} s of the path: should it fail right then, the vehicle gets {outside_m:.0f} m out of "
-                "range",
+                f"the path leaves the range of the transferring station {handover.from_station} {left_s:.1f} s after "
+                f"it; to notice a failure of the receiving station {handover.to_station} and to stop from "
+                f"{speed_m_s:.0f} m/s takes {needed_s:.1f} s of the path: should it fail right then, the vehicle gets "
+                f"{outside_m:.0f} m out of range",
                 round(left_s, 2),
                 f"at least {needed_s:.1f} s",
                 fix=f"plan with min_overlap_s {math.ceil(2.0 * needed_s)}, half of it after the handover, or slower",
             )
         )
     if handovers and not checks:
-        message = f"after each the flight can still stop in the old station's range, with {spare_s:.1f} s to spare"
+        message = (
+            f"after each the flight can still stop in the transferring station's range, with {spare_s:.1f} s to spare"
+        )
         checks.append(Check("handovers", Level.PASS, message, round(spare_s, 2), "room to stop"))
     return checks
 
 
-def _full_stop_s(reference: Reference) -> float:
+def _full_stop_s(reference: ReferenceTrajectory) -> float:
     """The time of the plan at which a reference comes to rest that brakes as hard as it may, from now on."""
     limit_s = max(1e-6, reference.time_s - _BEHIND_S)
     furthest_s = reference.time_s

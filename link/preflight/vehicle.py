@@ -12,10 +12,11 @@ import numpy as np
 
 from gcs.plan import Plan
 from link.autopilot.local_frame import EkfOrigin
+from link.autopilot.parameter_catalogue import Values
 from link.autopilot.profile import AutopilotProfile
 from link.microservices.parameter import Asking
 from link.preflight.check import Check, Level
-from link.preflight.failsafe_parameters import Values, judge_failsafes, judge_rally_limit
+from link.preflight.failsafe_parameters import judge_failsafes, judge_rally_limit
 from link.session.request import FlightRequest
 
 GRAVITY_M_S2 = 9.80665
@@ -41,15 +42,13 @@ def judge_performance(profile: AutopilotProfile, values: Values, plan: Plan) -> 
     velocity = plan.trajectory.evaluate(times, 1)
     speed = float(np.hypot(velocity[:, 0], velocity[:, 1]).max())
     climb, descent = float(velocity[:, 2].max()), float(-velocity[:, 2].min())
-    binding = profile.name == "px4"
     for key, asked, what, level in (
         ("max_speed", speed, "horizontal speed", Level.FAILURE),
         ("max_climb", climb, "climb", Level.WARNING),
         ("max_descent", descent, "descent", Level.WARNING),
     ):
         parameter = values.get(key)
-        # ArduPilot's own navigation speeds do not bound position targets; its lean does.
-        if parameter is None or not binding:
+        if parameter is None or not profile.binding_speeds:
             continue
         fits = asked <= profile.parameter(key).measure(parameter) * 1.001
         message = f"the plan's top {what} is {asked:.2f} m/s" + ("" if fits else "; the vehicle would fall behind")
@@ -106,9 +105,9 @@ def judge_place(
     index = plan.trajectory.sequence[0]
     station = plan.mission.stations[index]
     limit = station.range_m - plan.mission.options.range_margin_m
-    # A ball is convex: with the ground, the point above it and the start inside, the whole way is.
+    # A ball is convex: with the ground, the point above it and the start inside, all between them is.
     above = np.array([here[0], here[1], max(float(start[2]), here[2])])
-    ways = plan.ground.true_range_m(np.array([index] * 3), np.array([here, above, start]))
+    ways = plan.geometry.true_range_m(np.array([index] * 3), np.array([here, above, start]))
     checks.append(
         Check(
             "first station",
@@ -145,9 +144,9 @@ def judge_origin(origin: EkfOrigin | None) -> Check:
     return Check("EKF origin", Level.PASS, text, text, "told by the vehicle")
 
 
-def judge_plan(plan: Plan, stations: tuple[str, ...], *, words: bool) -> Check:
+def judge_plan(plan: Plan, stations: tuple[str, ...], *, operator_commands: bool) -> Check:
     """The one plan every station of the flight has."""
-    how = "each operator's word names it" if words else "one streamer serves them all"
+    how = "each operator's command names it" if operator_commands else "one streamer serves them all"
     message = f"{plan.plan_sha256[:12]} for {', '.join(stations)}: {how}"
     return Check("plan", Level.PASS, message, plan.plan_sha256, "the same plan at every station")
 

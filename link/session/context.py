@@ -52,6 +52,6 @@ class FlightContext:
             {station: codec.encode for station, codec in codecs.items()},
             {s: StationCodec(vehicle_id, 190, signing=codec.signing).encode for s, codec in codecs.items()},
         )
-        echoes = EchoTracker(runs_on=profile.name == "ardupilot", memory=math.ceil(ECHO_MEMORY_S * request.rate_hz))
+        echoes = EchoTracker(runs_on=profile.target_runs_on, memory=math.ceil(ECHO_MEMORY_S * request.rate_hz))
         control = Control(timeline, vehicle, gate, Commander(gate.send, system_ids), echoes, system_ids)
         return cls(request, plan, timeline, vehicle, control)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
-from gcs.errors import Fault, PlanError
-from gcs.plan import Plan
+from gcs.errors import InputFault, PlanError
+from gcs.plan import Plan, read_plan
 from link.autopilot.registry import PROFILES
 from link.errors import EndpointUrlError, FlightRequestError
 from link.transport.url import parse_url
@@ -102,9 +102,9 @@ class FlightRequest:
         problems = [*self._numbers(), *self._choices()]
         plan: Plan | None = None
         try:
-            plan = Plan.from_document(self.plan)
+            plan = read_plan(self.plan)
         except PlanError as error:
-            problems.append(Fault(error.where or "plan", str(error), fix="plan the mission again"))
+            problems.append(InputFault(error.where or "plan", str(error), fix="plan the mission again"))
         if plan is not None:
             problems += self._links(plan)
             problems += launch_problems(plan, self)
@@ -141,7 +141,7 @@ class FlightRequest:
         mission = self.flown_plan.mission
         return {s: int(mission.stations[mission.station_index(s)].system_id or 0) for s in self.stations}
 
-    def _numbers(self) -> list[Fault]:
+    def _numbers(self) -> list[InputFault]:
         limits = {
             "rate_hz": (5.0, 100.0),
             "speedup": (0.1, 1000.0),
@@ -165,16 +165,16 @@ class FlightRequest:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
                 problems.append(
-                    Fault(name, "out of range", value, f"{low:g} to {high:g}", "choose a value in that range")
+                    InputFault(name, "out of range", value, f"{low:g} to {high:g}", "choose a value in that range")
                 )
         until = self.authorised_until_s
         if until is not None and not (isinstance(until, int | float) and math.isfinite(until) and until >= 0.0):
             problems.append(
-                Fault("authorised_until_s", "not a time", until, "0 or more, or none", "give T+ in seconds")
+                InputFault("authorised_until_s", "not a time", until, "0 or more, or none", "give T+ in seconds")
             )
         return problems
 
-    def _choices(self) -> list[Fault]:
+    def _choices(self) -> list[InputFault]:
         allowed: dict[str, tuple[str, ...]] = {
             "autopilot": tuple(sorted(PROFILES)),
             "handover_way": HANDOVER_WAYS,
@@ -182,23 +182,28 @@ class FlightRequest:
             "last_resort": LAST_RESORTS,
         }
         problems = [
-            Fault(name, "not one of those", getattr(self, name), ", ".join(words), "choose one")
+            InputFault(name, "not one of those", getattr(self, name), ", ".join(words), "choose one")
             for name, words in allowed.items()
             if getattr(self, name) not in words
         ]
-        if self.handover_way == HandoverWay.PARAMETER and self.autopilot == "px4":
+        profile = PROFILES.get(self.autopilot)
+        if self.handover_way == HandoverWay.PARAMETER and profile is not None and not profile.filters_station_ids:
             allowed_ways = ", ".join(way for way in HANDOVER_WAYS if way != HandoverWay.PARAMETER)
-            what = "PX4 has no parameter that says whom it hears"
-            problems.append(Fault("handover_way", what, "parameter", allowed_ways, "choose gate"))
+            what = f"{profile.title} has no parameter that says whom it hears"
+            problems.append(InputFault("handover_way", what, "parameter", allowed_ways, "choose gate"))
         key = self.signing_key
         if key is not None and not (key.startswith(("file:", "env:")) and len(key.split(":", 1)[1]) > 0):
             # The value is not shown: it may be the key itself.
-            problems.append(Fault("signing_key", "not a reference to a key", None, "file:PATH or env:NAME", "name it"))
+            problems.append(
+                InputFault("signing_key", "not a reference to a key", None, "file:PATH or env:NAME", "name it")
+            )
         return problems
 
-    def _links(self, plan: Plan) -> list[Fault]:
+    def _links(self, plan: Plan) -> list[InputFault]:
         problems = [
-            Fault(f"links.{station}", "the plan uses this station and it has no link", None, "a link URL", "add it")
+            InputFault(
+                f"links.{station}", "the plan uses this station and it has no link", None, "a link URL", "add it"
+            )
             for station in dict.fromkeys(plan.station_ids)
             if station not in self.links
         ]
@@ -208,12 +213,12 @@ class FlightRequest:
                 try:
                     parse_url(url)
                 except EndpointUrlError as error:
-                    problems.append(Fault(f"links.{station}", str(error)))
+                    problems.append(InputFault(f"links.{station}", str(error)))
             if not urls:
-                problems.append(Fault(f"links.{station}", "no link", None, "a link URL", "give one"))
+                problems.append(InputFault(f"links.{station}", "no link", None, "a link URL", "give one"))
             if station not in with_ids:
                 problems.append(
-                    Fault(
+                    InputFault(
                         f"links.{station}",
                         "the plan does not use this station, and it has no system id",
                         station,
@@ -235,15 +240,17 @@ class FlightRequest:
         """From `to_document`. Raises `FlightRequestError` for unknown or missing fields too."""
         known = {_KEYS.get(f.name, f.name): f.name for f in fields(cls) if f.name[0] != "_"}
         problems = [
-            Fault(name, "no such field", allowed=", ".join(sorted(known))) for name in document if name not in known
+            InputFault(name, "no such field", allowed=", ".join(sorted(known)))
+            for name in document
+            if name not in known
         ]
-        problems += [Fault(name, "missing") for name in ("plan", "autopilot", "links") if name not in document]
+        problems += [InputFault(name, "missing") for name in ("plan", "autopilot", "links") if name not in document]
         if problems:
             raise FlightRequestError(problems)
         return cls(**{known[key]: value for key, value in document.items()})
 
 
-def launch_problems(plan: Plan, request: FlightRequest) -> list[Fault]:
+def launch_problems(plan: Plan, request: FlightRequest) -> list[InputFault]:
     """Why this plan must not be flown under this request: overlaps, margin, start in motion, its own certificate."""
     problems = []
     needed_s = request.confirmation_time_s + request.overlap_guard_s
@@ -253,7 +260,7 @@ def launch_problems(plan: Plan, request: FlightRequest) -> list[Fault]:
             pair = f"{handover.from_station} and {handover.to_station}"
             parts = f"{request.confirmation_time_s:g} s to confirm and {request.overlap_guard_s:g} s more"
             problems.append(
-                Fault(
+                InputFault(
                     f"plan.handovers[{handover.index}].overlap",
                     f"{pair} cover the vehicle together too briefly to hand over",
                     round(overlap_s, 3),
@@ -264,7 +271,7 @@ def launch_problems(plan: Plan, request: FlightRequest) -> list[Fault]:
     margin_m = -plan.certificate.worst["range_m"]
     if margin_m < request.tracking_error_m:
         problems.append(
-            Fault(
+            InputFault(
                 "plan.certificate.worst.range_m",
                 "the margin to range is smaller than the vehicle may be beside the path",
                 round(margin_m, 3),
@@ -275,7 +282,7 @@ def launch_problems(plan: Plan, request: FlightRequest) -> list[Fault]:
     start_speed = math.hypot(*(float(v) for v in plan.trajectory.evaluate(0.0, 1)))
     if start_speed > MIN_START_REST_M_S:
         problems.append(
-            Fault(
+            InputFault(
                 "plan.segments[0]",
                 "the plan starts in motion",
                 start_speed,
@@ -284,5 +291,7 @@ def launch_problems(plan: Plan, request: FlightRequest) -> list[Fault]:
             )
         )
     if not plan.certificate.feasible:
-        problems.append(Fault("plan.certificate", "the plan does not hold its own limits", False, "true", "plan again"))
+        problems.append(
+            InputFault("plan.certificate", "the plan does not hold its own limits", False, "true", "plan again")
+        )
     return problems

@@ -9,7 +9,7 @@ from gcs.geodesy import Plane
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AutopilotProfile
 from link.dialect import mavlink
-from link.setpoints.local_projection import LocalMap
+from link.setpoints.local_projection import LocalProjection
 from link.telemetry.vehicle_monitor import VehicleMonitor
 
 
@@ -27,7 +27,7 @@ class Vehicle:
     """How long its autopilot goes without setpoints, as read of its parameters before launch."""
 
     def __post_init__(self) -> None:
-        self._local = LocalMap(self.plane)
+        self._local = LocalProjection(self.plane)
 
     @property
     def system_id(self) -> int:
@@ -52,7 +52,8 @@ class Vehicle:
     @property
     def follows(self) -> bool:
         """Whether it follows setpoints, by its HEARTBEAT."""
-        return self.mode == self.profile.offboard_mode
+        heartbeat = self.monitor.heartbeat
+        return heartbeat is not None and self.profile.is_offboard(heartbeat)
 
     def disarmed_since(self, time_s: float) -> bool:
         """Whether a HEARTBEAT heard after ``time_s`` of the flight's clock shows motors that are off."""

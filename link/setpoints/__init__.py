@@ -1,5 +1,9 @@
-"""Setpoints: the plan resampled, the reference that is streamed."""
+"""Setpoints: the plan resampled, and the reference trajectory that is streamed.
 
-from link.setpoints.sampler import RATE_LIMITS_HZ, SetpointStream
+What is sent is always a `Setpoint`; `SetpointSampler` gives a plan's at any time of it.
+"""
 
-__all__ = ["RATE_LIMITS_HZ", "SetpointStream"]
+from link.setpoints.sampler import RATE_LIMITS_HZ, SetpointSampler
+from link.setpoints.setpoint import Setpoint
+
+__all__ = ["RATE_LIMITS_HZ", "Setpoint", "SetpointSampler"]

@@ -9,16 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs.geodesy import WGS84_A_M, WGS84_E2, Plane
-
-Array = NDArray[np.float64]
+from planner.arrays import Array
 
 REACH_M = 400.0
 
 
-class LocalMap:
+class LocalProjection:
     """Converts between a plane and the earth about an anchor, which is moved (exactly) when a point is out of reach."""
 
     def __init__(self, plane: Plane) -> None:

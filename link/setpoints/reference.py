@@ -1,4 +1,6 @@
-"""What is streamed: a curve flown at a rate that may change, stop and turn back, but never leaves the curve.
+"""The reference trajectory, which is what is streamed.
+
+A curve flown at a rate that may change, stop and turn back, but never leaves the curve.
 
 Holding, resuming, going slower when the vehicle falls behind, waiting for the next station and returning are one
 mechanism: the *rate*, seconds of plan per second of clock, between -1 and 1. Positions stay on the planned path,
@@ -19,13 +21,10 @@ import math
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
-
-Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
+from planner.arrays import Array
 
 BRAKING_SHARE = 0.35
 """Of the acceleration limit, for the braking curve: the rest is left to the curve's own bends."""
@@ -38,7 +37,7 @@ _TABLE_STEP_S = 0.1
 
 
 class Curve(Protocol):
-    """Something to fly along: `SetpointStream`, or `StraightLine`."""
+    """Something to fly along: `SetpointSampler`, or `StraightLine`."""
 
     duration_s: float
 
@@ -47,7 +46,7 @@ class Curve(Protocol):
         ...
 
 
-class Reference:
+class ReferenceTrajectory:
     """Where on a curve the flight is, and how fast it goes along it.
 
     ``accel_m_s2`` is the plan's acceleration limit. ``time_s`` is the place on the curve, ``rate`` and
@@ -68,7 +67,7 @@ class Reference:
         self._slopes = np.gradient(speeds, times)
         self._way_m = np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times))])
 
-    def placed(self, time_s: float, rate: float = 0.0) -> Reference:
+    def placed(self, time_s: float, rate: float = 0.0) -> ReferenceTrajectory:
         """Another reference on the same curve, at another place and rate; shares this one's tables."""
         other = copy.copy(self)
         other.time_s, other.rate, other.rate_change_per_s = time_s, rate, 0.0
@@ -180,6 +179,6 @@ def _speeds(curve: Curve) -> tuple[Array, Array]:
     """Times ``(N,)`` and the curve's speeds at them."""
     count = max(2, math.ceil(curve.duration_s / _TABLE_STEP_S) + 1)
     times = np.linspace(0.0, max(curve.duration_s, 1e-6), count)
-    if isinstance(curve, SetpointStream):
+    if isinstance(curve, SetpointSampler):
         return times, np.linalg.norm(curve.plan.trajectory.evaluate(times, 1), axis=-1)
     return times, np.array([math.hypot(*curve.at(float(t)).velocity_enu_m_s) for t in times])

@@ -16,16 +16,14 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gcs.geodesy import WGS84_A_M, WGS84_E2
+from gcs.plan import Plan
+from link.setpoints.setpoint import Setpoint, SetpointBlock
 from planner import bezier
-
-if TYPE_CHECKING:
-    from gcs.plan import Plan
-from link.setpoints.setpoint import Array, Setpoint, SetpointBlock
+from planner.arrays import Array
 
 RATE_LIMITS_HZ = (0.1, 200.0)
 GRID_TOLERANCE_S = 1e-9
@@ -35,7 +33,7 @@ SLOW_M_S = 0.5
 CHUNK = 4096
 """Samples computed at once; bounds the memory of a stream."""
 NODE_STEP_S = 0.5
-"""Spacing of the places `SetpointStream.at` works from."""
+"""Spacing of the places `SetpointSampler.at` works from."""
 _POLAR_COSINE = 2e-3
 
 
@@ -48,7 +46,7 @@ class _Slow:
     yaw_deg: float
 
 
-class SetpointStream:
+class SetpointSampler:
     """A plan's samples at ``rate_hz``; ``len()``, iteration, `blocks` and `at` for any time between.
 
     Raises `ValueError` for a rate outside 0.1 to 200 Hz.

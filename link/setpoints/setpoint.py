@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+from planner.arrays import Array, Indices
 
 if TYPE_CHECKING:
     pass
 
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 
@@ -87,8 +85,8 @@ class SetpointBlock:
     """
 
     time_s: Array
-    leg: NDArray[np.int64]
-    handover: NDArray[np.int64]
+    leg: Indices
+    handover: Indices
     position_enu_m: Array
     velocity_enu_m_s: Array
     acceleration_enu_m_s2: Array

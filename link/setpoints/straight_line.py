@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from gcs.plan import Plan
-from link.setpoints.local_projection import LocalMap
-from link.setpoints.reference import Array, Vector
-from link.setpoints.setpoint import Setpoint
+from link.setpoints.local_projection import LocalProjection
+from link.setpoints.setpoint import Setpoint, Vector
+from planner.arrays import Array
 
 
 class StraightLine:
@@ -32,7 +32,7 @@ class StraightLine:
         yaw_deg: float = 0.0,
     ) -> None:
         self._plan = plan
-        self._map = LocalMap(plan.plane)
+        self._map = LocalProjection(plan.plane)
         self._leg = leg
         station = plan.mission.stations[plan.trajectory.sequence[leg]]
         self._station = (station.id, station.system_id or 0)
@@ -66,7 +66,7 @@ class StraightLine:
 
 def state_setpoint(
     plan: Plan,
-    local: LocalMap,
+    local: LocalProjection,
     leg: int,
     station: tuple[str, int],
     time_s: float,

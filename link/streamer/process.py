@@ -36,8 +36,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gcs.errors import Fault
-from gcs.flight import TransitionError, Word
+from gcs.errors import InputFault
+from gcs.flight import OperatorCommand, TransitionError
 from link.clock import FlightClock, PacedClock
 from link.director.core import FlightCore
 from link.director.plan_exchange import NextPlan
@@ -98,13 +98,13 @@ def open_links(request: FlightRequest) -> dict[str, Endpoint]:
                 continue
             if request.speedup != 1.0:
                 problems.append(
-                    Fault(
+                    InputFault(
                         f"links.{station}", "a speed-up is for simulations", url, "loopback links", "fly at speed-up 1"
                     )
                 )
             if request.signing_key is None and not request.allow_unsigned:
                 problems.append(
-                    Fault(
+                    InputFault(
                         f"links.{station}",
                         "the link leaves this machine and nothing on it is signed",
                         url,
@@ -215,7 +215,7 @@ class Streamer:
             self.control.subscribe(client)
             return
         reply: dict[str, Any] = {"reply": line.get("id")}
-        if line.get("word") == Word.REPLAN:
+        if line.get("word") == OperatorCommand.REPLAN:
             threading.Thread(target=self._make_ready, args=(client, line), name="replan", daemon=True).start()
             return
         if line.get("status"):
@@ -252,7 +252,7 @@ class Streamer:
         known = {"by", "handover", "until_s", "reason", "plan_sha256", "join_s", "leave_s"}
         try:
             given = {k: v for k, v in line.items() if k in known and v is not None}
-            self.core.command(Word(line.get("word", "")), **given, **more)
+            self.core.command(OperatorCommand(line.get("word", "")), **given, **more)
         except (TransitionError, ValueError, TypeError) as error:
             return str(error)
         return None

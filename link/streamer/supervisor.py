@@ -19,12 +19,12 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from gcs.errors import Fault
+from gcs.errors import InputFault
 from gcs.flight import EventKind, FlightEvent, FlightState, Journal, TransitionError
+from gcs.timestamps import utc_now_text
 from link.errors import FlightRequestError, SupervisorError
 from link.session.request import FlightRequest
 from link.streamer.control_socket import SOCKET_FILE, connect
@@ -106,7 +106,7 @@ def _connect(folder: Path, process: subprocess.Popen[bytes]) -> socket.socket:
             refusal = folder / "refusal.json"
             if refusal.exists():
                 said = json.loads(refusal.read_bytes())
-                raise FlightRequestError([Fault("links", said["error"])])
+                raise FlightRequestError([InputFault("links", said["error"])])
             tail = (folder / "streamer.log").read_text(errors="replace")[-2000:]
             raise SupervisorError(f"the streamer ended at once (exit code {process.returncode}): {tail}")
         try:
@@ -276,7 +276,7 @@ class RunningFlight:
         airborne = last is not None and last.state.airborne
         reason = f"the streamer died (exit code {code}); see {self.run_dir / 'streamer.log'}"
         if last is not None:
-            utc = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+            utc = utc_now_text()
             state = FlightState.LOST if airborne else last.state
             data = {"what": "streamer died", "exit_code": code}
             self._deliver(

@@ -1,9 +1,9 @@
-"""The ways between a station and the vehicle, each measured: loss, latency, jitter; and which of them sends.
+"""The link paths between a station and the vehicle, each measured: loss, latency, jitter; and which of them sends.
 
-A station may have several links (two radios, a radio and a satellite terminal). All are listened to, and every probe
-goes out over each, so that the one in reserve is proved before it is needed. One alone carries everything
-else; when its proof falls behind another's, that one takes over. What comes twice is taken once: messages carry
-the vehicle's clock, answers the number of what they answer.
+A station's C2 link may have several paths (two radios, a radio and a satellite terminal). All are listened to, and
+every probe goes out over each, so that the one in reserve is proved before it is needed. One alone carries everything
+else; when its proof falls behind another's, that one takes over. What comes twice is taken once: messages carry the
+vehicle's clock, answers the number of what they answer.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ PROBE_LOST_S = 1.0
 """A probe unanswered for so long counts as lost."""
 PROBES_ENOUGH = 8
 FAILOVER_S = 0.4
-"""Another way of a station takes over when its latest proof is so much newer: before the autopilot, or a neighbour,
+"""Another path of a station takes over when its latest proof is so much newer: before the autopilot, or a neighbour,
 acts."""
 IDLE_FAILOVER_S = 2.5
 """The same while the station is probed once a second."""
@@ -34,14 +34,14 @@ class _Probe:
     answered: bool = False
 
 
-class Carrier:
-    """One way to the vehicle. Times are the flight's clock, minus infinity where nothing came yet."""
+class LinkPath:
+    """One path to the vehicle. Times are the flight's clock, minus infinity where nothing came yet."""
 
     def __init__(self, url: str = "") -> None:
         self.url = url
         self.heard_s = -math.inf
         self.proven_s = -math.inf
-        """When the latest frame of ours left that the vehicle has answered over this way: both directions work."""
+        """When the latest frame of ours left that the vehicle has answered over this path: both directions work."""
         self.round_trip_s: float | None = None
         self.jitter_s = 0.0
         """Mean change from one round trip to the next, as RFC 3550 counts it."""
@@ -55,7 +55,7 @@ class Carrier:
         self._received = 0.0
 
     def heard(self, now_s: float, sequence: int) -> None:
-        """The autopilot spoke over this way; ``sequence`` is its frame's number, 0 to 255."""
+        """The autopilot spoke over this path; ``sequence`` is its frame's number, 0 to 255."""
         self.heard_s = max(self.heard_s, now_s)
         self.messages += 1
         if self._sequence is None:
@@ -80,7 +80,7 @@ class Carrier:
         self._probes.append(_Probe(nonce, now_s))
 
     def answered(self, nonce: int, now_s: float) -> bool:
-        """A probe's answer came back over this way; False for one this way did not send, or that was answered."""
+        """A probe's answer came back over this path; False for one this path did not send, or that was answered."""
         for probe in reversed(self._probes):
             if probe.nonce == nonce:
                 if probe.answered:
@@ -117,14 +117,14 @@ class Carrier:
         return max(0.0, 1.0 - self._received / self._expected)
 
     def round_loss(self, now_s: float) -> float | None:
-        """Share of the probes of late that were never answered: either way may have lost them. None before any."""
+        """Share of the probes of late never answered, lost on the way there or back. None before any."""
         due = [probe for probe in self._probes if probe.answered or now_s - probe.sent_s >= PROBE_LOST_S]
         if not due:
             return None
         return sum(not probe.answered for probe in due) / len(due)
 
     def quality(self, now_s: float) -> LinkQuality | None:
-        """What the last probes say, both ways together; None before enough of them are over."""
+        """What the last probes say, both directions together; None before enough of them are over."""
         over = sum(now_s - probe.sent_s >= PROBE_LOST_S for probe in self._probes)
         lost = self.round_loss(now_s)
         if over < PROBES_ENOUGH or lost is None or not self._trips:

@@ -7,65 +7,64 @@ from collections.abc import Sequence
 from typing import Any
 
 from link.autopilot.local_frame import EkfOrigin
-from link.telemetry.link_path import FAILOVER_S, Carrier, LinkQuality
+from link.telemetry.link_path import FAILOVER_S, LinkPath, LinkQuality
 
 
 class StationLink:
-    """A station's ways to the vehicle taken together; see `Carrier` for the figures."""
+    """A station's paths to the vehicle taken together; see `LinkPath` for the figures."""
 
     def __init__(self, station_id: str, urls: Sequence[str] = ("",)) -> None:
         self.station_id = station_id
-        self.carriers = tuple(Carrier(url) for url in urls)
-        self.active = self.carriers[0]
-        """The way that sends."""
-        self.heartbeat_s = -math.inf
+        self.paths = tuple(LinkPath(url) for url in urls)
+        self.active = self.paths[0]
+        """The path that sends."""
         self.origin: EkfOrigin | None = None
         self.origin_s = -math.inf
 
     @property
     def heard_s(self) -> float:
-        """Anything of the vehicle's autopilot, over any way."""
-        return max(carrier.heard_s for carrier in self.carriers)
+        """Anything of the vehicle's autopilot, over any path."""
+        return max(path.heard_s for path in self.paths)
 
     @property
     def proven_s(self) -> float:
-        """When the latest frame left that was answered over the way that sends."""
+        """When the latest frame left that was answered over the path that sends."""
         return self.active.proven_s
 
     @property
     def round_trip_s(self) -> float | None:
-        """Of the way that sends."""
+        """Of the path that sends."""
         return self.active.round_trip_s
 
     @property
     def latency_s(self) -> float | None:
-        """One way, of the way that sends."""
+        """One way, of the path that sends."""
         return self.active.latency_s
 
     @property
     def messages(self) -> int:
-        """Frames of the autopilot, over all ways."""
-        return sum(carrier.messages for carrier in self.carriers)
+        """Frames of the autopilot, over all paths."""
+        return sum(path.messages for path in self.paths)
 
-    def carrier(self, url: str | None) -> Carrier:
-        """A way by its URL; the one that sends for None, and for a URL of none."""
-        return next((carrier for carrier in self.carriers if carrier.url == url), self.active)
+    def path(self, url: str | None) -> LinkPath:
+        """A path by its URL; the one that sends for None, and for a URL of none."""
+        return next((path for path in self.paths if path.url == url), self.active)
 
     def choose(self, patience_s: float = FAILOVER_S) -> str:
-        """Let another way send where its proof is newer by ``patience_s``; the URL it was until then, or empty."""
-        best = max(self.carriers, key=lambda carrier: carrier.proven_s)
+        """Let another path send where its proof is newer by ``patience_s``; the URL it was until then, or empty."""
+        best = max(self.paths, key=lambda path: path.proven_s)
         if best is self.active or best.proven_s - self.active.proven_s < patience_s:
             return ""
         before, self.active = self.active, best
         return before.url
 
     def quality(self, now_s: float) -> LinkQuality | None:
-        """Of the way that sends."""
+        """Of the path that sends."""
         return self.active.quality(now_s)
 
     def to_document(self, now_s: float) -> dict[str, Any]:
-        """As JSON: the figures of the way that sends, and all ways under ``ways`` where there are several."""
+        """As JSON: the figures of the path that sends, and all paths under ``ways`` where there are several."""
         document = self.active.to_document(now_s)
-        if len(self.carriers) > 1:
-            document["ways"] = [{**c.to_document(now_s), "sends": c is self.active} for c in self.carriers]
+        if len(self.paths) > 1:
+            document["ways"] = [{**c.to_document(now_s), "sends": c is self.active} for c in self.paths]
         return document

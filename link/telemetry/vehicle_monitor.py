@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from link.autopilot.local_frame import EkfOrigin
+from link.autopilot.profile import AUTOPILOT_COMPONENT
 from link.dialect import mavlink
 from link.telemetry.station_link import StationLink
 
-AUTOPILOT_COMPONENT = 1
 REBOOT_BACK_S = 3.0
 """A time stamp this far behind is no reordering."""
 TEXT_CHUNK = 50
@@ -29,7 +29,7 @@ GROUND_STATION_TYPES = (mavlink.MAV_TYPE_GCS,)
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """GLOBAL_POSITION_INT (33): degrees, metres AMSL and above home, m/s true north/east/down.
+    """GLOBAL_POSITION_INT (33): degrees, metres AMSL, m/s true north/east/down.
 
     ``boot_s`` is the vehicle's clock, ``heard_s`` ours when it came.
     """
@@ -39,7 +39,6 @@ class Position:
     lat_deg: float
     lon_deg: float
     alt_amsl_m: float
-    alt_above_home_m: float
     velocity_ned_m_s: tuple[float, float, float]
 
     @property
@@ -59,6 +58,12 @@ class Heartbeat:
     custom_mode: int
     system_status: int
 
+    @classmethod
+    def from_message(cls, heard_s: float, message: Any) -> Heartbeat:
+        """From a HEARTBEAT that came at ``heard_s``."""
+        m = message
+        return cls(heard_s, m.autopilot, m.type, m.base_mode, m.custom_mode, m.system_status)
+
     @property
     def armed(self) -> bool:
         """MAV_MODE_FLAG_SAFETY_ARMED."""
@@ -68,8 +73,8 @@ class Heartbeat:
 class VehicleMonitor:
     """Everything heard, merged.
 
-    ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids, ``urls`` the ways of each where
-    there are several.
+    ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids, ``urls`` the link paths of each
+    where there are several.
     """
 
     def __init__(
@@ -86,7 +91,6 @@ class VehicleMonitor:
         self.version: Any = None
         self.unix_s: tuple[float, float] | None = None
         """The vehicle's UTC (SYSTEM_TIME) and our clock when it came; None while it has none."""
-        self.home_amsl_m: float | None = None
         self.landed_state: int = 0
         self.battery_percent: int | None = None
         self.control_main: int | None = None
@@ -109,7 +113,7 @@ class VehicleMonitor:
     def receive(self, now_s: float, station_id: str, message: Any, url: str | None = None) -> bool:
         """Take a message heard over a station's link; whether it was the vehicle's autopilot speaking.
 
-        ``url`` tells which of the station's ways it came over.
+        ``url`` tells which of the station's link paths it came over.
         """
         system, component = message.get_srcSystem(), message.get_srcComponent()
         kind = message.get_type()
@@ -120,11 +124,11 @@ class VehicleMonitor:
         if component != AUTOPILOT_COMPONENT:
             return False
         link = self.links[station_id]
-        carrier = link.carrier(url)
-        carrier.heard(now_s, message.get_seq())
+        path = link.path(url)
+        path.heard(now_s, message.get_seq())
         if kind == "TIMESYNC":
             if message.tc1 != 0:
-                carrier.answered(message.ts1, now_s)
+                path.answered(message.ts1, now_s)
             return True
         fresh = self._in_order(now_s, getattr(message, "time_boot_ms", None))
         handler = _HANDLERS.get(kind)
@@ -166,20 +170,20 @@ class VehicleMonitor:
         """Our clock when the vehicle's showed ``boot_s``.
 
         By the fastest message lately, less half of the shortest round trip lately: right where there and back take
-        equally long. A message that was faster than that way's own (over another link) keeps it from being early.
+        equally long. A message that was faster than that path's own (over another link) keeps it from being early.
         """
         if not self._offset:
             return None
-        latencies = [c.least_latency_s for link in self.links.values() for c in link.carriers if c.round_trip_s]
+        latencies = [c.least_latency_s for link in self.links.values() for c in link.paths if c.round_trip_s]
         return boot_s + min(offset for _, offset in self._offset) - min(latencies, default=0.0)
 
     def probe(self, now_s: float, station_id: str) -> Any:
-        """A TIMESYNC of a station, for all its ways; its answer can only be the answer to it (matched by ``ts1``)."""
+        """A TIMESYNC of a station, for all its paths; its answer can only be the answer to it (matched by ``ts1``)."""
         self._probe_count += 1
         # Nanoseconds of our clock would repeat between stations; the count cannot.
         nonce = (int(max(now_s, 0.0) * 1e6) << 20) | (self._probe_count & 0xFFFFF)
-        for carrier in self.links[station_id].carriers:
-            carrier.probed(now_s, nonce)
+        for path in self.links[station_id].paths:
+            path.probed(now_s, nonce)
         return mavlink.MAVLink_timesync_message(0, nonce)
 
     # -- out ----------------------------------------------------------------------------------------------------------
@@ -204,8 +208,7 @@ class VehicleMonitor:
     # -- messages -----------------------------------------------------------------------------------------------------
 
     def _on_heartbeat(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        link.heartbeat_s = now_s
-        self.heartbeat = Heartbeat(now_s, m.autopilot, m.type, m.base_mode, m.custom_mode, m.system_status)
+        self.heartbeat = Heartbeat.from_message(now_s, m)
 
     def _on_global_position(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         # Later than other messages is not too late: a place is judged by its own stamp.
@@ -217,7 +220,6 @@ class VehicleMonitor:
             m.lat * 1e-7,
             m.lon * 1e-7,
             m.alt * 1e-3,
-            m.relative_alt * 1e-3,
             (m.vx * 0.01, m.vy * 0.01, m.vz * 0.01),
         )
 
@@ -228,9 +230,6 @@ class VehicleMonitor:
     def _on_origin(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         link.origin = EkfOrigin.from_message(m)
         link.origin_s = now_s
-
-    def _on_home(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        self.home_amsl_m = m.altitude * 1e-3
 
     def _on_extended_state(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.landed_state = m.landed_state
@@ -272,7 +271,6 @@ _HANDLERS = {
     "GLOBAL_POSITION_INT": VehicleMonitor._on_global_position,
     "POSITION_TARGET_LOCAL_NED": VehicleMonitor._on_target,
     "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_origin,
-    "HOME_POSITION": VehicleMonitor._on_home,
     "EXTENDED_SYS_STATE": VehicleMonitor._on_extended_state,
     "SYS_STATUS": VehicleMonitor._on_sys_status,
     "AUTOPILOT_VERSION": VehicleMonitor._on_version,

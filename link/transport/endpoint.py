@@ -38,9 +38,7 @@ class EndpointStats:
 
 
 class Endpoint(abc.ABC):
-    """One link: ``url`` as parsed, ``stats``, and ``is_stream``: whether frames may arrive in pieces."""
-
-    is_stream = False
+    """One link: ``url`` as parsed, and ``stats``."""
 
     def __init__(self, url: LinkUrl) -> None:
         self.url = url

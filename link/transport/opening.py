@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 
 from link.transport.endpoint import Endpoint
+from link.transport.serial_port import SerialEndpoint
+from link.transport.udp_tcp import TcpEndpoint, UdpInEndpoint, UdpOutEndpoint
 from link.transport.url import parse_url
 
 
@@ -16,10 +18,6 @@ def open_endpoint(url: str, *, clock: Callable[[], float] = time.monotonic) -> E
     permitted. A TCP peer or serial device that is not there yet is no error: it is tried again with back-off.
     """
     parsed = parse_url(url)
-    # Not at the top: they subclass Endpoint.
-    from link.transport.serial_port import SerialEndpoint
-    from link.transport.udp_tcp import TcpEndpoint, UdpInEndpoint, UdpOutEndpoint
-
     if parsed.scheme == "serial":
         return SerialEndpoint(parsed, clock)
     if parsed.scheme == "tcp":

@@ -20,8 +20,6 @@ _MAX_PIECE = 65_536
 class SerialEndpoint(Endpoint):
     """A serial device, opened exclusively and opened again when it was unplugged."""
 
-    is_stream = True
-
     def __init__(self, url: LinkUrl, clock: Callable[[], float]) -> None:
         super().__init__(url)
         self._clock = clock

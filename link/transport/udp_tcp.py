@@ -129,7 +129,7 @@ class UdpOutEndpoint(_UdpEndpoint):
 class UdpInEndpoint(_UdpEndpoint):
     """Listens on an address; peers are learnt from what they send, and every live peer gets what is sent.
 
-    Only a datagram that starts like MAVLink makes a peer. Signing, not this, keeps strangers out.
+    Only a datagram that starts like MAVLink makes a peer. Signing, not this, keeps foreign stations out.
     """
 
     def __init__(self, url: LinkUrl, clock: Callable[[], float]) -> None:
@@ -185,8 +185,6 @@ class UdpInEndpoint(_UdpEndpoint):
 
 class TcpEndpoint(Endpoint):
     """A TCP client that connects and reconnects by itself, doubling its pause from 0.5 s to 8 s."""
-
-    is_stream = True
 
     def __init__(self, url: LinkUrl, clock: Callable[[], float]) -> None:
         super().__init__(url)

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from link.errors import EndpointUrlError
 
-STREAM_SCHEMES = ("tcp", "serial")
-"""Kinds of link whose bytes come without borders between frames."""
 _SCHEMES = ("udpout", "udpin", "tcp", "serial")
 _BAUD_RATES = (1200, 4_000_000)
 
@@ -22,6 +20,11 @@ class LinkUrl:
     host: str
     number: int
     """Port, or baud rate for ``serial``."""
+
+    @property
+    def is_stream(self) -> bool:
+        """Whether its bytes come without bounds between frames, so that a frame may arrive in pieces."""
+        return self.scheme in ("tcp", "serial")
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host

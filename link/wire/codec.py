@@ -16,7 +16,6 @@ from link.dialect import mavlink
 from link.errors import SigningError
 from link.wire.signing import Signing, Verdict
 
-MAX_FRAME_BYTES = 280
 _HEADER_V1, _HEADER_V2, _CHECKSUM, _SIGNATURE = 6, 10, 2, 13
 _SETUP_SIGNING = 256
 
@@ -42,11 +41,6 @@ class SourceStats:
                 return
             self.lost += ahead
         self.last_sequence = sequence
-
-    @property
-    def loss_fraction(self) -> float:
-        """Share of the frames sent to us that never came, 0 to 1."""
-        return self.lost / (self.lost + self.received) if self.received else 0.0
 
 
 @dataclass

@@ -190,11 +190,6 @@ class Signing:
         """The last stamp sent or adopted."""
         return self.store.own_stamp
 
-    @property
-    def stamp_ahead_s(self) -> float:
-        """How far the stamp runs ahead of the clock; much more than a minute means somebody's clock is wrong."""
-        return max(0, self.store.own_stamp - self._now()) / UNITS_PER_S
-
     def next_stamp(self) -> int:
         """The stamp of the next frame: the clock's, or one more than the last where that is higher. Persisted."""
         stamp = max(self.store.own_stamp + 1, self._now())

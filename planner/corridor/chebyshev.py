@@ -1,8 +1,8 @@
-"""Places where a vehicle can always stop: the deepest point of what each joint of a corridor must lie in.
+"""Chebyshev centres: the deepest point of what each joint of a corridor must lie in, where a vehicle can always stop.
 
 Solvers answer to a tolerance, a certificate allows none. What a solver returns is first sought a little inside
 (ranges and band shrunk) and then, where a constraint still fails by a rounding, drawn towards these points: the
-sets are convex, so a short way is enough. Where a lens is thinner than the shrinking, the point itself is taken.
+sets are convex, so a short way is enough. Where an overlap is thinner than the shrinking, the point itself is taken.
 """
 
 from __future__ import annotations
@@ -10,47 +10,46 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags, Indices
 from planner.corridor.cone_program import ConeProgram
 from planner.corridor.corridor import Corridor
-from planner.coverage.overlap import MIN_LENS_M, lens_depth_m, lens_point_m
+from planner.coverage.elevation_mask import ElevationMask
+from planner.coverage.overlap import MIN_OVERLAP_M, overlap_depth_m, overlap_point_m
 from planner.errors import Infeasibility, InfeasibleError
 from planner.infeasibility.diagnosis import broken_pair
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
 
 RANGE_SHRINK = 1e-7
 BAND_SHRINK_M = 1e-6
 
 
 @dataclass(frozen=True)
-class Refuges:
+class ChebyshevCentres:
     """``points_m`` ``(S - 1, 3)`` for joints 1 .. S - 1, and ``slack_m`` ``(S - 1,)``: range left at each.
 
-    ``thin`` ``(S - 1,)``: joints whose lens has no room for a solver; they stay at the point. ``shrink_m`` ``(S - 1,)``
-    is what may come off a range at each joint.
+    ``thin`` ``(S - 1,)``: joints whose overlap has no room for a solver; they stay at the point. ``shrink_m``
+    ``(S - 1,)`` is what may come off a range at each joint.
     """
 
     points_m: Array
     slack_m: Array
-    thin: NDArray[np.bool_]
+    thin: Flags
     shrink_m: Array
 
 
-def find_refuges(problem: Problem, corridor: Corridor) -> Refuges:
-    """The refuges of a corridor. Raises `InfeasibleError` where a joint's balls have no point in common."""
+def chebyshev_centres(problem: Problem, corridor: Corridor) -> ChebyshevCentres:
+    """Those of a corridor's inner joints. Raises `InfeasibleError` where a joint's balls have no point in common."""
     count = len(corridor) - 1
     points, slack, shrink = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
     for joints, balls in alike(corridor):
         points[joints], slack[joints] = _lift(problem, balls, _deepest_points_m(problem, balls))
         shrink[joints] = RANGE_SHRINK * problem.ranges_m[balls].max(axis=1)
     thin = slack < 8.0 * shrink
-    return Refuges(points, slack, thin, np.minimum(shrink, 0.25 * np.maximum(slack, 0.0)))
+    return ChebyshevCentres(points, slack, thin, np.minimum(shrink, 0.25 * np.maximum(slack, 0.0)))
 
 
-def alike(corridor: Corridor) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def alike(corridor: Corridor) -> list[tuple[Indices, Indices]]:
     """Joints with equally many balls, to be looked at together: which ``(j,)``, from 0, and their balls ``(j, b)``."""
     balls = [corridor.joint_balls(joint) for joint in range(1, len(corridor))]
     counts = np.array([len(stations) for stations in balls], dtype=np.int64)
@@ -58,7 +57,7 @@ def alike(corridor: Corridor) -> list[tuple[NDArray[np.int64], NDArray[np.int64]
     return [(joints, np.array([balls[k] for k in joints], dtype=np.int64)) for joints in groups]
 
 
-def slack_m(problem: Problem, balls: tuple[int, ...] | NDArray[np.int64], point_m: Array) -> Array:
+def slack_m(problem: Problem, balls: tuple[int, ...] | Indices, point_m: Array) -> Array:
     """Range left at ``point_m`` ``(..., 3)`` to the tightest of its ``balls`` ``(..., b)``; the band apart.
 
     Elevation cones count too. Shape ``(...)``.
@@ -66,27 +65,25 @@ def slack_m(problem: Problem, balls: tuple[int, ...] | NDArray[np.int64], point_
     stations = np.asarray(balls, dtype=np.int64)
     offset = point_m[..., None, :] - problem.station_positions_m[stations]
     left = problem.ranges_m[stations] - np.linalg.norm(offset, axis=-1)
-    if problem.min_elevation_deg is not None:
-        angle = problem.min_elevation_deg[stations]
-        slope = np.tan(np.radians(np.maximum(angle, 0.0)))
-        above = offset[..., 2] - slope * np.linalg.norm(offset[..., :2], axis=-1)
-        left = np.minimum(left, np.where(angle < 0.0, np.inf, above))
+    mask = ElevationMask.of(problem)
+    if mask is not None:
+        left = np.minimum(left, -mask.at(stations).below_m(offset))
     return np.asarray(left.min(axis=-1))
 
 
-def _deepest_points_m(problem: Problem, balls: NDArray[np.int64]) -> Array:
+def _deepest_points_m(problem: Problem, balls: Indices) -> Array:
     """``(j, 3)``: for every joint the point with the most range left to all its ``balls`` ``(j, b)``."""
     if balls.shape[1] > 2:
-        return np.array([_chebyshev_point_m(problem, tuple(stations)) for stations in balls.tolist()])
+        return np.array([_chebyshev_centre_m(problem, tuple(stations)) for stations in balls.tolist()])
     first, last = balls[:, 0], balls[:, -1]
-    depth = lens_depth_m(problem, first, last)
-    apart = np.flatnonzero(depth < np.where(first == last, 0.0, MIN_LENS_M))
+    depth = overlap_depth_m(problem, first, last)
+    apart = np.flatnonzero(depth < np.where(first == last, 0.0, MIN_OVERLAP_M))
     if len(apart):
         raise InfeasibleError(broken_pair(problem, int(first[apart[0]]), int(last[apart[0]])))
-    return lens_point_m(problem, first, last)
+    return overlap_point_m(problem, first, last)
 
 
-def _chebyshev_point_m(problem: Problem, balls: tuple[int, ...]) -> Array:
+def _chebyshev_centre_m(problem: Problem, balls: tuple[int, ...]) -> Array:
     """The point of the band with the most range left to three balls or more: a small cone program.
 
     Raises `InfeasibleError` where there is none.
@@ -123,7 +120,7 @@ def _chebyshev_point_m(problem: Problem, balls: tuple[int, ...]) -> Array:
     return point
 
 
-def _lift(problem: Problem, balls: NDArray[np.int64], points_m: Array) -> tuple[Array, Array]:
+def _lift(problem: Problem, balls: Indices, points_m: Array) -> tuple[Array, Array]:
     """``points_m`` ``(j, 3)`` moved off the edges of the band as far as at least half their slack to ``balls`` remains.
 
     Returns them with their slack ``(j,)``.

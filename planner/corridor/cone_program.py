@@ -12,13 +12,10 @@ from typing import Any
 
 import clarabel
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from planner.arrays import Array, Indices
 from planner.errors import SolverError
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class ConeProgram:

@@ -8,7 +8,7 @@ pieces that lie in two balls and last a least time:
                └ half the overlap ┘           └ half the overlap ┘
 
 so that a vehicle inside its pieces is covered by both stations for the whole overlap. A hovering vehicle can
-stay in a lens as long as it likes, so a corridor whose lenses are not empty always has a trajectory.
+stay in an overlap as long as it likes, so a corridor whose overlaps are not empty always has a trajectory.
 """
 
 from __future__ import annotations

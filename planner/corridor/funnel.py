@@ -1,13 +1,13 @@
-"""A string pulled tight through gates: the shortest polyline from start to end that crosses each in order.
+"""The funnel algorithm: the shortest polyline from start to end that crosses gates in order.
 
        gates' left ends   *      *     *
         start ────────────┼──────┼─────┼──────── end
        gates' right ends  *      *     *
 
-The funnel algorithm (Lee and Preparata 1984): what can be seen from the last corner narrows gate by gate, and where
-nothing is left to see, the side's end that is in the way is the next corner. The way from a gate to the next must be
-convex, so neighbouring gates must not cross: where they do, both are cut off there. A string that does not turn round
-such a cut is the shortest without it too, because a polyline's length is convex in where it crosses the gates.
+(Lee and Preparata 1984.) What can be seen from the last corner narrows gate by gate, and where nothing is left to see,
+the side's end that is in the way is the next corner. The way from a gate to the next must be convex, so neighbouring
+gates must not cross: where they do, both are cut off there. A polyline that does not turn round such a cut is the
+shortest without it too, because its length is convex in where it crosses the gates.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.arrays import Array
+
 Point = tuple[float, float]
 
 
-def pull_tight(start: Array, left: Array, right: Array, end: Array) -> Array | None:
+def shortest_crossings(start: Array, left: Array, right: Array, end: Array) -> Array | None:
     """Where the shortest polyline from ``start`` ``(2,)`` to ``end`` crosses each gate: ``(E, 2)``.
 
     ``left``, ``right`` ``(E, 2)`` are the gates' ends as seen on the way. None where gates that cross, or come in the

@@ -1,18 +1,19 @@
 """Where along a polyline the joints of a corridor's pieces start out.
 
 Pieces pay where the speed changes: one polynomial cannot both accelerate and cruise. So the polyline is flown in
-thought with a trapezoidal speed profile, at rest at both ends, slowed at bends and in lenses too short for the overlap
-asked for, and each leg is cut into parts of equal time, in which time spent speeding up or braking counts several
-times.
+thought with a trapezoidal speed profile, at rest at both ends, slowed at bends and in overlaps too short for the time
+asked for in them, and each leg is cut into parts of equal time, in which time spent speeding up or braking counts
+several times.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from planner.arrays import Array
 from planner.corridor.corridor import Corridor, Piece
 from planner.problem import Problem
-from planner.speed_profile import Array, speed_profile
+from planner.speed_profile import speed_profile
 
 # How much more an acceleration phase counts than cruising.
 CHANGE_WEIGHT = 5.0
@@ -22,10 +23,10 @@ STRAIGHT_ACCEL, BEND_ACCEL = 0.5, 0.25
 SAMPLES = 128
 
 
-def spread_waypoints(problem: Problem, corridor: Corridor, polyline_m: Array) -> Array:
+def place_joints(problem: Problem, corridor: Corridor, polyline_m: Array) -> Array:
     """Points ``(K + 1, 3)`` for the joints of ``corridor`` along ``polyline_m`` ``(legs + 1, 3)``.
 
-    The polyline runs from the start through one handover point per lens to the destination. An entry or exit piece
+    The polyline runs from the start through one handover point per overlap to the destination. An entry or exit piece
     reaches from the handover point along its leg for as long as it lasts at full speed, but not out of the other
     station's range. Points may coincide. Raises ``ValueError`` for a polyline that does not fit the corridor.
     """
@@ -40,9 +41,9 @@ def spread_waypoints(problem: Problem, corridor: Corridor, polyline_m: Array) ->
     for leg, own in enumerate(pieces):
         heading = step[leg] / length[leg]
         if len(own[0].balls) > 1:
-            inside[leg, 0] = _lens_length_m(problem, own[0], polyline_m[leg], heading, length[leg])
+            inside[leg, 0] = _overlap_length_m(problem, own[0], polyline_m[leg], heading, length[leg])
         if len(own[-1].balls) > 1:
-            inside[leg, 1] = _lens_length_m(problem, own[-1], polyline_m[leg + 1], -heading, length[leg])
+            inside[leg, 1] = _overlap_length_m(problem, own[-1], polyline_m[leg + 1], -heading, length[leg])
         inside[leg] *= min(1.0, length[leg] / max(float(inside[leg].sum()), 1e-12))
     speed = _handover_speeds(problem, step / length[:, None], length, inside)
     points = [polyline_m[:1]]
@@ -55,7 +56,7 @@ def spread_waypoints(problem: Problem, corridor: Corridor, polyline_m: Array) ->
     return np.concatenate(points)
 
 
-def _lens_length_m(problem: Problem, piece: Piece, at: Array, heading: Array, length: float) -> float:
+def _overlap_length_m(problem: Problem, piece: Piece, at: Array, heading: Array, length: float) -> float:
     """How far from its handover point ``at`` an entry or exit piece gets along its leg, inside both balls."""
     other = piece.balls[1]
     offset = at - problem.station_positions_m[other]

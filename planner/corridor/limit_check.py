@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags
 from planner.corridor.corridor import Corridor
+from planner.coverage.elevation_mask import ElevationMask
 from planner.problem import Limits, Problem
 from planner.trajectory import DEGREE
-
-Array = NDArray[np.float64]
 
 # Kept free of rounding when a trajectory is moved from one computation to the next.
 GUARD_M = 1e-8
@@ -25,10 +24,8 @@ class CorridorCheck:
         balls = np.array([piece.balls + piece.balls[:1] * (width - len(piece.balls)) for piece in corridor.pieces])
         self._centres = problem.station_positions_m[balls]
         self._ranges = problem.ranges_m[balls]
-        self._slopes: Array | None = None
-        if problem.min_elevation_deg is not None:
-            self._slopes = np.tan(np.radians(np.maximum(problem.min_elevation_deg, 0.0)))[balls]
-            self._unlimited = (problem.min_elevation_deg < 0.0)[balls]
+        mask = ElevationMask.of(problem)
+        self._mask = None if mask is None else mask.at(balls[..., None])
         # The ends are given: they and what rest fixes beside them may lie on the very edge of range or band.
         self._guard_m = np.full((len(corridor), DEGREE + 1), GUARD_M)
         if self.limits.max_alt_m - self.limits.min_alt_m < 4.0 * GUARD_M:
@@ -41,10 +38,8 @@ class CorridorCheck:
         worst = (np.linalg.norm(offset, axis=-1) - self._ranges[..., None]).max(axis=1)
         altitude = points_m[..., 2]
         worst = np.maximum(worst, np.maximum(self.limits.min_alt_m - altitude, altitude - self.limits.max_alt_m))
-        if self._slopes is not None:
-            below = self._slopes[..., None] * np.linalg.norm(offset[..., :2], axis=-1) - offset[..., 2]
-            below[self._unlimited] = -np.inf
-            worst = np.maximum(worst, below.max(axis=1))
+        if self._mask is not None:
+            worst = np.maximum(worst, self._mask.below_m(offset).max(axis=1))
         return np.asarray(worst)
 
     def ratios(self, points_m: Array, durations_s: Array) -> Array:
@@ -69,7 +64,7 @@ class CorridorCheck:
         ratios = self.ratios(points_m, durations_s)
         return np.asarray(np.maximum(np.maximum(ratios[0], np.sqrt(ratios[1])), np.cbrt(ratios[2])))
 
-    def holds(self, points_m: Array, durations_s: Array) -> NDArray[np.bool_]:
+    def holds(self, points_m: Array, durations_s: Array) -> Flags:
         """``(S,)``: which pieces keep every constraint, a guard against rounding included."""
         inside = (self.place_excess_m(points_m) <= -self._guard_m).all(axis=1)
         return np.asarray(inside & (self.ratios(points_m, durations_s) <= 1.0).all(axis=0))

@@ -2,48 +2,49 @@
 
     minimise  sum_k t_k    with  |W_k - W_{k-1}| <= t_k,  W_k in every ball of joint k and in the altitude band
 
-The joints are unknown as offsets from their refuges, in units of the mean range: plain metres make the solver fail.
+The joints are unknown as offsets from their Chebyshev centres, in units of the mean range: plain metres make the
+solver fail.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.corridor.chebyshev import BAND_SHRINK_M, Refuges, alike, find_refuges, slack_m
+from planner.arrays import Array, Indices
+from planner.corridor.chebyshev import BAND_SHRINK_M, ChebyshevCentres, alike, chebyshev_centres, slack_m
 from planner.corridor.cone_program import ConeProgram
 from planner.corridor.corridor import Corridor
+from planner.coverage.elevation_mask import ElevationMask
 from planner.errors import SolverError
 from planner.problem import Problem
 
-Array = NDArray[np.float64]
-
 
 def shortest_polyline(
-    problem: Problem, corridor: Corridor, refuges: Refuges | None = None, weights: Array | None = None
+    problem: Problem, corridor: Corridor, centres: ChebyshevCentres | None = None, weights: Array | None = None
 ) -> Array:
     """Start, joints and destination ``(S + 1, 3)`` of the shortest polyline along ``corridor``.
 
     ``weights`` ``(S,)``: what a metre of each piece counts, 1 when not given.
 
-    Every joint lies in all its balls and in the band at zero tolerance. Where the solver gives up, the refuges
-    themselves: longer, but always there. Raises `InfeasibleError` where two neighbours of the corridor do not meet.
+    Every joint lies in all its balls and in the band at zero tolerance. Where the solver gives up, the Chebyshev
+    centres themselves: longer, but always there. Raises `InfeasibleError` where two neighbours of the corridor do not
+    meet.
     """
-    refuges = refuges or find_refuges(problem, corridor)
-    joints = refuges.points_m.copy()
-    free = np.flatnonzero(~refuges.thin)
+    centres = centres or chebyshev_centres(problem, corridor)
+    joints = centres.points_m.copy()
+    free = np.flatnonzero(~centres.thin)
     if len(free):
         try:
-            joints[free] = _solve(problem, corridor, refuges, free, weights)
+            joints[free] = _PolylineProgram(problem, corridor, centres, free).joints(weights)
         except SolverError:
-            joints = refuges.points_m.copy()
-    return settled(problem, corridor, refuges, joints)
+            joints = centres.points_m.copy()
+    return settled(problem, corridor, centres, joints)
 
 
-def settled(problem: Problem, corridor: Corridor, refuges: Refuges, joints_m: Array) -> Array:
+def settled(problem: Problem, corridor: Corridor, centres: ChebyshevCentres, joints_m: Array) -> Array:
     """``joints_m`` ``(S - 1, 3)`` moved to where every constraint holds exactly, between start and destination.
 
-    Each is drawn towards its refuge just as far as it takes.
+    Each is drawn towards its Chebyshev centre just as far as it takes.
     """
     limits = problem.limits
     joints = joints_m.copy()
@@ -51,14 +52,14 @@ def settled(problem: Problem, corridor: Corridor, refuges: Refuges, joints_m: Ar
     for which, balls in alike(corridor):
         outside = slack_m(problem, balls, joints[which]) < 0.0
         which, balls = which[outside], balls[outside]
-        wanted, refuge = joints[which], refuges.points_m[which]
+        wanted, centre = joints[which], centres.points_m[which]
         share = 1e-9
         while len(which) and share < 1.0:
-            joints[which] = wanted + share * (refuge - wanted)
+            joints[which] = wanted + share * (centre - wanted)
             outside = slack_m(problem, balls, joints[which]) < 0.0
-            which, balls, wanted, refuge = which[outside], balls[outside], wanted[outside], refuge[outside]
+            which, balls, wanted, centre = which[outside], balls[outside], wanted[outside], centre[outside]
             share *= 4.0
-        joints[which] = refuge
+        joints[which] = centre
     return np.vstack([problem.start_m, joints, problem.destination_m])
 
 
@@ -67,91 +68,111 @@ def polyline_length_m(waypoints_m: Array) -> float:
     return float(np.linalg.norm(np.diff(waypoints_m, axis=0), axis=1).sum())
 
 
-def _solve(
-    problem: Problem, corridor: Corridor, refuges: Refuges, free: NDArray[np.int64], weights: Array | None
-) -> Array:
-    """The free joints ``(F, 3)``; thin ones stay at their refuge."""
-    pieces, limits = len(corridor), problem.limits
-    unit = float(problem.ranges_m[list(corridor.sequence)].mean())
-    known = np.vstack([problem.start_m, refuges.points_m, problem.destination_m])
-    # Columns: three per free joint, then the length of every piece.
-    column = np.full(pieces + 1, -1)
-    column[free + 1] = 3 * np.arange(len(free))
-    lengths = 3 * len(free) + np.arange(pieces)
+class _PolylineProgram:
+    """P4's rows b - A x in a product of cones, laid out joint by joint and piece by piece.
 
-    rows: list[int] = []
-    columns: list[int] = []
-    values: list[float] = []
-    offset: list[float] = []
-    second_order: list[int] = []
+    Unknown are three offsets for each of the ``free`` joints ``(F,)`` (from 0), then the length of every piece; thin
+    joints stay at their Chebyshev centre. Rows must be added in the order of their cones: equalities, inequalities,
+    second-order cones.
+    """
 
-    def entry(col: int, value: float) -> None:
-        rows.append(len(offset))
-        columns.append(col)
-        values.append(value)
+    def __init__(self, problem: Problem, corridor: Corridor, centres: ChebyshevCentres, free: Indices) -> None:
+        self._problem, self._corridor, self._shrink_m = problem, corridor, centres.shrink_m
+        self._unit = float(problem.ranges_m[list(corridor.sequence)].mean())
+        self._known = np.vstack([problem.start_m, centres.points_m, problem.destination_m])
+        self._free = free + 1
+        self._column = np.full(len(corridor) + 1, -1)
+        self._column[self._free] = 3 * np.arange(len(free))
+        self._lengths = 3 * len(free) + np.arange(len(corridor))
+        self._mask = ElevationMask.of(problem)
+        self._rows: list[int] = []
+        self._columns: list[int] = []
+        self._values: list[float] = []
+        self._offset: list[float] = []
+        self._second_order: list[int] = []
 
-    band_shrink = min(BAND_SHRINK_M, 0.25 * (limits.max_alt_m - limits.min_alt_m))
-    flat = limits.max_alt_m == limits.min_alt_m
-    for k in free + 1:
-        if flat:
-            entry(column[k] + 2, 1.0)
-            offset.append((limits.min_alt_m - known[k, 2]) / unit)
-    zero = len(offset)
-    for k in free + 1:
-        if not flat:
-            for sign, edge in ((-1.0, limits.min_alt_m + band_shrink), (1.0, limits.max_alt_m - band_shrink)):
-                entry(column[k] + 2, sign)
-                offset.append(sign * (edge - known[k, 2]) / unit)
-        for station, _ in _cones(problem, corridor.joint_balls(k), want_flat=True):
-            entry(column[k] + 2, -1.0)
-            offset.append((known[k, 2] - problem.station_positions_m[station, 2]) / unit)
-    nonnegative = len(offset) - zero
-    for k in range(pieces):
-        entry(int(lengths[k]), -1.0)
-        offset.append(0.0)
+    def joints(self, weights: Array | None) -> Array:
+        """The free joints ``(F, 3)`` of the minimiser. Raises `SolverError`."""
+        limits = self._problem.limits
+        if limits.min_alt_m == limits.max_alt_m:
+            self._add_flat_band()
+        zero = len(self._offset)
+        for joint in self._free:
+            if limits.min_alt_m < limits.max_alt_m:
+                self._add_band(joint)
+            self._add_horizons(joint)
+        nonnegative = len(self._offset) - zero
+        for piece in range(len(self._corridor)):
+            self._add_length(piece)
+        for joint in self._free:
+            self._add_balls(joint)
+            self._add_elevation_cones(joint)
+        cost = np.zeros(3 * len(self._free) + len(self._corridor))
+        cost[self._lengths] = 1.0 if weights is None else weights
+        program = ConeProgram(
+            cost,
+            np.array(self._rows),
+            np.array(self._columns),
+            np.array(self._values),
+            np.array(self._offset),
+            zero=zero,
+            nonnegative=nonnegative,
+            second_order=self._second_order,
+        )
+        offsets = program.solve()[: 3 * len(self._free)].reshape(-1, 3)
+        return np.asarray(self._known[self._free] + self._unit * offsets)
+
+    def _add(self, constant_m: float, *entries: tuple[int, float]) -> None:
+        """One row: a constant in metres, and entries of A as columns and values."""
+        for column, value in entries:
+            self._rows.append(len(self._offset))
+            self._columns.append(column)
+            self._values.append(value)
+        self._offset.append(constant_m / self._unit)
+
+    def _from_antenna_m(self, joint: int, station: int) -> Array:
+        """The place a joint is counted from, less the station's antenna ``(3,)``."""
+        return np.asarray(self._known[joint] - self._problem.station_positions_m[station])
+
+    def _add_flat_band(self) -> None:
+        for joint in self._free:
+            self._add(self._problem.limits.min_alt_m - self._known[joint, 2], (self._column[joint] + 2, 1.0))
+
+    def _add_band(self, joint: int) -> None:
+        limits = self._problem.limits
+        shrink = min(BAND_SHRINK_M, 0.25 * (limits.max_alt_m - limits.min_alt_m))
+        for sign, edge in ((-1.0, limits.min_alt_m + shrink), (1.0, limits.max_alt_m - shrink)):
+            self._add(sign * (edge - self._known[joint, 2]), (self._column[joint] + 2, sign))
+
+    def _add_horizons(self, joint: int) -> None:
+        """At a lowest elevation of zero the cone is the half-space above the antenna."""
+        for station in self._corridor.joint_balls(joint):
+            if self._mask is not None and self._mask.horizon[station]:
+                self._add(self._from_antenna_m(joint, station)[2], (self._column[joint] + 2, -1.0))
+
+    def _add_length(self, piece: int) -> None:
+        self._add(0.0, (int(self._lengths[piece]), -1.0))
+        step = self._known[piece + 1] - self._known[piece]
+        ends = [(joint, sign) for joint, sign in ((piece + 1, -1.0), (piece, 1.0)) if self._column[joint] >= 0]
         for axis in range(3):
-            for joint, sign in ((k + 1, -1.0), (k, 1.0)):
-                if column[joint] >= 0:
-                    entry(column[joint] + axis, sign)
-            offset.append((known[k + 1, axis] - known[k, axis]) / unit)
-        second_order.append(4)
-    for k in free + 1:
-        for station in corridor.joint_balls(k):
-            offset.append((problem.ranges_m[station] - refuges.shrink_m[k - 1]) / unit)
+            self._add(step[axis], *((self._column[joint] + axis, sign) for joint, sign in ends))
+        self._second_order.append(4)
+
+    def _add_balls(self, joint: int) -> None:
+        for station in self._corridor.joint_balls(joint):
+            self._add(self._problem.ranges_m[station] - self._shrink_m[joint - 1])
+            offset = self._from_antenna_m(joint, station)
             for axis in range(3):
-                entry(column[k] + axis, -1.0)
-                offset.append((known[k, axis] - problem.station_positions_m[station, axis]) / unit)
-            second_order.append(4)
-        for station, slope in _cones(problem, corridor.joint_balls(k), want_flat=False):
-            # slope |xy - O_xy| <= z - h
-            entry(column[k] + 2, -1.0 / slope)
-            height = known[k, 2] - problem.station_positions_m[station, 2] - refuges.shrink_m[k - 1]
-            offset.append(height / slope / unit)
-            for axis in range(2):
-                entry(column[k] + axis, -1.0)
-                offset.append((known[k, axis] - problem.station_positions_m[station, axis]) / unit)
-            second_order.append(3)
-    cost = np.zeros(3 * len(free) + pieces)
-    cost[lengths] = 1.0 if weights is None else weights
-    program = ConeProgram(
-        cost,
-        np.array(rows),
-        np.array(columns),
-        np.array(values),
-        np.array(offset),
-        zero=zero,
-        nonnegative=nonnegative,
-        second_order=second_order,
-    )
-    solution = program.solve()
-    return np.asarray(known[free + 1] + unit * solution[: 3 * len(free)].reshape(-1, 3))
+                self._add(offset[axis], (self._column[joint] + axis, -1.0))
+            self._second_order.append(4)
 
-
-def _cones(problem: Problem, balls: tuple[int, ...], *, want_flat: bool) -> list[tuple[int, float]]:
-    """Stations among ``balls`` with an elevation limit and its slope; at zero degrees the cone is a half-space."""
-    if problem.min_elevation_deg is None:
-        return []
-    angles = problem.min_elevation_deg
-    return [
-        (s, float(np.tan(np.radians(angles[s])))) for s in balls if angles[s] >= 0.0 and (angles[s] == 0) == want_flat
-    ]
+    def _add_elevation_cones(self, joint: int) -> None:
+        """|xy - O_xy| <= (z - h) / slope."""
+        for station in self._corridor.joint_balls(joint):
+            if self._mask is not None and self._mask.cone[station]:
+                slope = float(self._mask.slope[station])
+                offset = self._from_antenna_m(joint, station)
+                self._add((offset[2] - self._shrink_m[joint - 1]) / slope, (self._column[joint] + 2, -1.0 / slope))
+                for axis in range(2):
+                    self._add(offset[axis], (self._column[joint] + axis, -1.0))
+                self._second_order.append(3)

@@ -1,11 +1,12 @@
 """Chords: where two neighbours' discs cross, and what a leg between two chords costs.
 
          p ......................... q          p on the chord with the station before, q with the one after.
-        (│)    station's own disc   (│)         The leg is inside the lens with the one before for the length
-         └──► out of the lens  into ┘           "out", inside the lens with the one after for the length "into".
+        (│)    station's own disc   (│)         The leg is inside the overlap with the one before for the length
+         └─► out of the      into ──┘           "out", inside the overlap with the one after for the length "into".
+             overlaps
 
-With a minimum overlap a vehicle must spend half of it in either lens on either side of a handover. Where the
-lens is too short for that at full speed it slows down beforehand, and both losses are added to the leg's time.
+With a minimum overlap time a vehicle must spend half of it inside the two ranges' overlap on either side of a handover.
+Where that is too short at full speed it slows down beforehand, and both losses are added to the leg's time.
 """
 
 from __future__ import annotations
@@ -13,14 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.coverage.disc import disc_radius_m
-from planner.coverage.overlap import lens_altitude_m
+from planner.coverage.overlap import overlap_altitude_m
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,8 @@ class Chords:
         points: Array = self.base.reshape(-1, *extra, 2) + reach * self.normal.reshape(-1, *extra, 2)
         return points
 
-    def lens_points(self, t: Array, s: Array) -> Array:
-        """``(E, len(t) len(s), 2)``: at each ``t`` along every chord, the parts ``s`` of the way through the lens."""
+    def overlap_points(self, t: Array, s: Array) -> Array:
+        """``(E, len(t) len(s), 2)``: at each ``t`` along every chord, the parts ``s`` of the way across the overlap."""
         y = t * self.half[:, None]
         wide_first = np.sqrt(np.maximum(self.radius_first[:, None] ** 2 - y**2, 0.0))
         wide_second = np.sqrt(np.maximum(self.radius_second[:, None] ** 2 - y**2, 0.0))
@@ -65,7 +63,7 @@ def chords(problem: Problem, first: Indices, second: Indices) -> Chords:
 
     One disc inside the other has no chord: the smaller one's diameter serves.
     """
-    altitude = lens_altitude_m(problem, first, second)
+    altitude = overlap_altitude_m(problem, first, second)
     radius_a, radius_b = disc_radius_m(problem, first, altitude), disc_radius_m(problem, second, altitude)
     along = problem.station_positions_m[second, :2] - problem.station_positions_m[first, :2]
     apart = np.linalg.norm(along, axis=1)
@@ -75,7 +73,7 @@ def chords(problem: Problem, first: Indices, second: Indices) -> Chords:
     b_inside, a_inside = apart + radius_b <= radius_a, apart + radius_a <= radius_b
     foot = np.where(b_inside, apart, np.where(a_inside, 0.0, foot))
     half = np.where(b_inside, radius_b, np.where(a_inside, radius_a, half))
-    # Ranges that barely meet: the middle of the lens, not a foot outside it.
+    # Ranges that barely meet: the middle of the overlap, not a foot outside it.
     low, high = np.maximum(-radius_a, apart - radius_b), np.minimum(radius_a, apart + radius_b)
     foot = np.where(high > low, np.clip(foot, low, high), 0.5 * (low + high))
     base = problem.station_positions_m[first, :2] + foot[:, None] * unit
@@ -94,9 +92,9 @@ def leaves_after(at: Array, towards: Array, length: Array, centre: Array, radius
 
 
 def leg_times_s(problem: Problem, length: Array, out: Array, into: Array, *, slowdown: float = 1.0) -> Array:
-    """Expected time of legs, given how far each stays in the lens it leaves and the one it enters (infinite: no lens).
+    """Expected time of legs, given how far each stays in the overlap it leaves and the one it enters (infinite: none).
 
-    With half an overlap to spend in a lens of length s, speed drops to s / half there; slowing down to it and
+    With half the minimum overlap time to spend on a length s inside, speed drops to s / half; slowing down to it and
     speeding up again loses (v - s / half)^2 / (2 v a) more. ``slowdown`` scales these losses.
     """
     speed, accel = problem.limits.max_speed_m_s, problem.limits.max_accel_m_s2

@@ -4,12 +4,12 @@ A station covers, at altitude z, the disc of radius sqrt(R^2 - (z - h)^2) around
 elevation angle). Seen from above two stations meet at z when their discs do:
 
           r_i(z)      r_j(z)                  depth(z) = r_i(z) + r_j(z) - d
-        O_i ──────►│  │◄────── O_j            > 0: a lens so deep; < 0: a gap so wide
+        O_i ──────►│  │◄────── O_j            > 0: an overlap so deep; < 0: a gap so wide
         └────────── d ───────────┘
 
 Both radii are concave in z, so the depth is largest where a closed form or an end of the shared altitudes says.
 With antennas at or below the band that is z_min and the test is Proposition 1 of Qi, Dou and Xin 2023 (with
-"<=", its erratum); with a station on a hill, the plane through z_min alone would miss lenses that exist.
+"<=", its erratum); with a station on a hill, the plane through z_min alone would miss overlaps that exist.
 """
 
 from __future__ import annotations
@@ -17,38 +17,36 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.arrays import Array, Indices
 from planner.coverage.disc import altitude_span_m, disc_radius_m, usable_stations
+from planner.coverage.elevation_mask import ElevationMask
 from planner.problem import Problem
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 __all__ = [
-    "MIN_LENS_M",
+    "MIN_OVERLAP_M",
     "AdjacentPairs",
     "adjacent_pairs",
-    "lens_altitude_m",
-    "lens_depth_m",
-    "lens_point_m",
+    "overlap_altitude_m",
+    "overlap_depth_m",
+    "overlap_point_m",
     "usable_stations",
 ]
 
-# A lens less deep than this counts as none: below it, rounding and not geometry decides what fits inside.
-MIN_LENS_M = 1e-3
+# An overlap less deep than this counts as none: below it, rounding and not geometry decides what fits inside.
+MIN_OVERLAP_M = 1e-3
 
 
 @dataclass(frozen=True)
 class AdjacentPairs:
-    """Pairs of stations ``pairs`` ``(E, 2)`` with i < j, sorted, and their lens depths ``depths_m`` ``(E,)``."""
+    """Pairs of stations ``pairs`` ``(E, 2)`` with i < j, sorted, and their overlap depths ``depths_m`` ``(E,)``."""
 
     pairs: Indices
     depths_m: Array
 
 
-def lens_altitude_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
+def overlap_altitude_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
     """Altitude inside the band at which the ranges of stations ``i`` and ``j`` overlap most (arrays broadcast).
 
     Where they share no altitude of the band, the lower end of the upper one.
@@ -63,8 +61,8 @@ def _antennas_below_band(problem: Problem) -> bool:
     return float(problem.station_positions_m[:, 2].max()) <= problem.limits.min_alt_m
 
 
-def lens_depth_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
-    """How deep the lens of stations ``i`` and ``j`` is inside the band, horizontally; negative is the gap.
+def overlap_depth_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
+    """How deep the overlap of stations ``i`` and ``j`` is inside the band, horizontally; negative is the gap.
 
     Scalars or index arrays (broadcast). The sign is exact: at least zero if and only if some point of the band is
     covered by both, whatever the antennas' heights. A disc inside the other is as deep as it is wide. Stations that
@@ -75,7 +73,7 @@ def lens_depth_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
 
 
 def _deepest(problem: Problem, i: int | Indices, j: int | Indices) -> tuple[Array, Array]:
-    """`lens_altitude_m` and `lens_depth_m`."""
+    """`overlap_altitude_m` and `overlap_depth_m`."""
     (low_i, high_i), (low_j, high_j) = altitude_span_m(problem, i), altitude_span_m(problem, j)
     low, high = np.maximum(low_i, low_j), np.minimum(high_i, high_j)
     candidates = [low] if _antennas_below_band(problem) else _candidates_m(problem, i, j, low, high)
@@ -91,7 +89,7 @@ def _deepest(problem: Problem, i: int | Indices, j: int | Indices) -> tuple[Arra
 
 
 def _candidates_m(problem: Problem, i: int | Indices, j: int | Indices, low: Array, high: Array) -> list[Array]:
-    """Altitudes of which one, moved into ``low`` to ``high``, is that of the deepest lens."""
+    """Altitudes of which one, moved into ``low`` to ``high``, is that of the deepest overlap."""
     # A range of nothing or less (a margin larger than the range) is unusable; it must not divide by zero here.
     height_i, height_j = problem.station_positions_m[i, 2], problem.station_positions_m[j, 2]
     reach_i, reach_j = np.maximum(problem.ranges_m[i], 1e-9), np.maximum(problem.ranges_m[j], 1e-9)
@@ -100,9 +98,10 @@ def _candidates_m(problem: Problem, i: int | Indices, j: int | Indices, low: Arr
     # One disc inside the other: the smaller is widest where both are as wide, in the spheres' radical plane.
     apart = np.where(np.abs(height_i - height_j) < 1e-6, 1.0, height_j - height_i)
     candidates.append(0.5 * ((reach_i**2 - reach_j**2) / apart + height_i + height_j))
-    if problem.min_elevation_deg is not None:
+    mask = ElevationMask.of(problem)
+    if mask is not None:
         # Circle against cone, the corners of each, and the ends: the sum is concave, so one of these is the maximum.
-        angle_i, angle_j = (np.radians(np.maximum(problem.min_elevation_deg[k], 0.0)) for k in (i, j))
+        angle_i, angle_j = mask.at(i).angle_rad, mask.at(j).angle_rad
         candidates += [height_i + reach_i * np.cos(angle_j), height_i + reach_i * np.sin(angle_i)]
         candidates += [height_j + reach_j * np.cos(angle_i), height_j + reach_j * np.sin(angle_j)]
         candidates += [low, high]
@@ -116,11 +115,11 @@ def _depth_at_m(problem: Problem, i: int | Indices, j: int | Indices, alt_m: Arr
     return np.minimum(depth, 2.0 * np.minimum(radius_i, radius_j))
 
 
-def lens_point_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
-    """The middle ``(..., 3)`` of the lens of stations ``i`` and ``j`` ``(...)`` at its deepest altitude; of the gap
+def overlap_point_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
+    """The middle ``(..., 3)`` of the overlap of stations ``i`` and ``j`` ``(...)`` at its deepest altitude; of the gap
     where they share none."""
     a, b = problem.station_positions_m[i], problem.station_positions_m[j]
-    altitude = lens_altitude_m(problem, i, j)
+    altitude = overlap_altitude_m(problem, i, j)
     offset = (b - a)[..., :2]
     distance = np.hypot(offset[..., 0], offset[..., 1])
     direction = offset / np.where(distance > 0.0, distance, 1.0)[..., None]
@@ -130,8 +129,8 @@ def lens_point_m(problem: Problem, i: int | Indices, j: int | Indices) -> Array:
     return np.concatenate([middle, altitude[..., None]], axis=-1)
 
 
-def adjacent_pairs(problem: Problem, *, min_depth_m: float = MIN_LENS_M) -> AdjacentPairs:
-    """Every pair of stations whose lens is at least ``min_depth_m`` deep (negative: gaps up to that wide)."""
+def adjacent_pairs(problem: Problem, *, min_depth_m: float = MIN_OVERLAP_M) -> AdjacentPairs:
+    """Every pair of stations whose overlap is at least ``min_depth_m`` deep (negative: gaps up to that wide)."""
     usable = np.flatnonzero(usable_stations(problem))
     low, high = altitude_span_m(problem)
     height = problem.station_positions_m[:, 2]
@@ -142,7 +141,7 @@ def adjacent_pairs(problem: Problem, *, min_depth_m: float = MIN_LENS_M) -> Adja
     near = neighbours_within(problem.station_positions_m[usable, :2], widest, slack_m=max(-min_depth_m, 0.0))
     pairs = usable[near]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    depths = lens_depth_m(problem, pairs[:, 0], pairs[:, 1])
+    depths = overlap_depth_m(problem, pairs[:, 0], pairs[:, 1])
     keep = depths >= min_depth_m
     return AdjacentPairs(pairs[keep].astype(np.int64), depths[keep])
 

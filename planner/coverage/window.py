@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import bezier
+from planner.arrays import Array, Flags, Indices
+from planner.coverage.elevation_mask import ElevationMask
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # An excursion of less than this is rounding: a vehicle that rides along the very edge of a range stays inside it.
 SLACK_M = 1e-6
@@ -31,27 +29,19 @@ _STRIDE, _WALKS = 4, 4096
 class Stations:
     """Whose coverage is asked for, one entry a window: ``at_m`` ``(W, 3)``, ``range_m`` ``(W,)``.
 
-    ``min_elevation_deg`` ``(W,)`` or None narrows ranges to cones, except where it is negative.
+    ``mask`` of ``(W,)``, or None, narrows ranges to what lies above elevation cones.
     """
 
     at_m: Array
     range_m: Array
-    min_elevation_deg: Array | None = None
+    mask: ElevationMask | None = None
 
     def __len__(self) -> int:
         return len(self.range_m)
 
     def part(self, which: Indices | slice) -> Stations:
         """Only some of them."""
-        angles = self.min_elevation_deg
-        return Stations(self.at_m[which], self.range_m[which], None if angles is None else angles[which])
-
-    def slopes(self) -> Array:
-        """``(W,)``: height per metre of distance at the lowest elevation; NaN where there is no such limit."""
-        if self.min_elevation_deg is None:
-            return np.full(len(self), np.nan)
-        angle = np.where(self.min_elevation_deg >= 0.0, self.min_elevation_deg, np.nan)
-        return np.asarray(np.tan(np.radians(angle)))
+        return Stations(self.at_m[which], self.range_m[which], None if self.mask is None else self.mask.at(which))
 
 
 def range_excess(trajectory: Trajectory, segment: int, station_m: Array, range_m: float) -> Array:
@@ -69,8 +59,8 @@ def coverage_window(
     slack_m: float = SLACK_M,
 ) -> tuple[float, float]:
     """`coverage_windows` of a single station: the span ``(start_s, end_s)``."""
-    angles = None if min_elevation_deg is None else np.array([min_elevation_deg])
-    station = Stations(np.asarray(station_m, dtype=float)[None], np.array([range_m]), angles)
+    mask = None if min_elevation_deg is None else ElevationMask.of_each([min_elevation_deg])
+    station = Stations(np.asarray(station_m, dtype=float)[None], np.array([range_m]), mask)
     early, late = coverage_windows(trajectory, station, np.array([around_s]), slack_m=slack_m)
     return float(early[0]), float(late[0])
 
@@ -113,16 +103,14 @@ def held_s(trajectory: Trajectory, stations: Stations, first: Indices, *, ahead:
     A segment does when all its control points do, at zero tolerance. The first that does not ends the time.
     """
     held = np.zeros(len(first))
-    slope = stations.slopes()
     for begin in range(0, len(first), _WALKS):
         walks = np.arange(begin, min(begin + _WALKS, len(first)))
         for step in range(0, len(trajectory), _STRIDE):
             segment, there = _segments(first[walks], step, len(trajectory), ahead=ahead)
             offset = trajectory.control_points_m[segment] - stations.at_m[walks][:, None, None]
             inside = np.linalg.norm(offset, axis=-1) <= stations.range_m[walks][:, None, None]
-            if stations.min_elevation_deg is not None:
-                below = slope[walks][:, None, None] * np.linalg.norm(offset[..., :2], axis=-1) - offset[..., 2]
-                inside &= ~(below > 0.0)
+            if stations.mask is not None:
+                inside &= ~(stations.mask.at(walks[:, None, None]).below_m(offset) > 0.0)
             whole = np.logical_and.accumulate(inside.all(axis=-1) & there, axis=1)
             held[walks] += (trajectory.durations_s[segment] * whole).sum(axis=1)
             walks = walks[whole[:, -1]]
@@ -131,7 +119,7 @@ def held_s(trajectory: Trajectory, stations: Stations, first: Indices, *, ahead:
     return held
 
 
-def _segments(at: Indices, step: int, count: int, *, ahead: bool) -> tuple[Indices, NDArray[np.bool_]]:
+def _segments(at: Indices, step: int, count: int, *, ahead: bool) -> tuple[Indices, Flags]:
     """The next segments ``(W, _STRIDE)`` of walks that began at ``at`` ``(W,)``, and which of them there are."""
     steps = np.arange(step, step + _STRIDE)
     segment = at[:, None] + (steps if ahead else -steps)
@@ -143,7 +131,9 @@ class _Walk:
 
     def __init__(self, trajectory: Trajectory, stations: Stations, slack_m: float) -> None:
         self._trajectory, self._at, self._slack_m = trajectory, stations.at_m, slack_m
-        self._range, self._slope = stations.range_m + slack_m, stations.slopes()
+        self._range = stations.range_m + slack_m
+        mask = ElevationMask.none(len(stations)) if stations.mask is None else stations.mask
+        self._masked, self._slope = mask.limited, mask.slope
 
     def exits(self, at: Indices, within: Array, *, ahead: bool) -> Array:
         """When each range is first left, going forwards or back from the part ``within`` of segment ``at``.
@@ -175,17 +165,17 @@ class _Walk:
                 break
         return np.where(outside, np.nan, result)
 
-    def _may_leave(self, walks: Indices, segment: Indices) -> NDArray[np.bool_]:
+    def _may_leave(self, walks: Indices, segment: Indices) -> Flags:
         """False where a segment's control points prove that it stays inside."""
         offset = self._trajectory.control_points_m[segment] - self._at[walks][:, None, None]
         beyond = (offset * offset).sum(axis=-1).max(axis=-1) > (self._range[walks] ** 2)[:, None]
-        return np.asarray(beyond | np.isfinite(self._slope[walks])[:, None])
+        return np.asarray(beyond | self._masked[walks][:, None])
 
     def _first_exits(self, walks: Indices, segment: Indices, passed: Array, *, ahead: bool) -> Array:
         """Part of what is left of each segment at which its range is left; -1: outside already; infinite: never."""
         offset = self._trajectory.control_points_m[segment] - self._at[walks][:, None]
         share = _first_positive(_rest(_squared(offset) - (self._range[walks] ** 2)[:, None], passed, ahead=ahead))
-        masked = np.flatnonzero(np.isfinite(self._slope[walks]))
+        masked = np.flatnonzero(self._masked[walks])
         if len(masked):
             # Above the cone: the height is positive, and slope^2 (x^2 + y^2) <= height^2.
             slope, offset = self._slope[walks[masked]][:, None], offset[masked]

@@ -1,7 +1,7 @@
 """P4 and P5 written down as the paper writes them, in cvxpy: what the direct assembly is held against.
 
-Here every control point is an unknown and continuity is a constraint; the programs in ``waypoints`` and
-``control_points`` know only the joints. Needs cvxpy (the optional extra ``bench``); imported when called.
+Here every control point is an unknown and continuity is a constraint; `planner.corridor.polyline_program` and
+`planner.paper.control_points` know only the joints. Needs cvxpy (the optional extra ``bench``); imported when called.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.corridor.corridor import Corridor, build_corridor
 from planner.corridor.polyline_program import settled
 from planner.errors import SolverError
@@ -23,8 +23,6 @@ from planner.paper.station_graph import check_sequence, shortest_sequence
 from planner.problem import Problem
 from planner.solution import Solution
 from planner.trajectory import DEGREE
-
-Array = NDArray[np.float64]
 
 
 def shortest_polyline_cvxpy(problem: Problem, corridor: Corridor) -> Array:
@@ -134,7 +132,7 @@ def plan_paper_cvxpy(
     method = AlternatingMinimisation(problem, corridor)
     program = ControlPointReference(problem, corridor)
     polyline = shortest_polyline_cvxpy(problem, corridor)
-    method.restart_from(settled(problem, corridor, method.refuges, polyline[1:-1]))
+    method.restart_from(settled(problem, corridor, method.centres, polyline[1:-1]))
     iterations, gain, notes = 0, math.inf, []
     if record is not None:
         record.append(method.snapshot(0, clock() - started))

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.coverage.disc import covering_stations
 from planner.errors import SolverError
@@ -29,7 +28,6 @@ from planner.paper.station_graph import shortest_sequence, weighted_edges
 from planner.problem import Problem
 from planner.solution import Solution
 
-Array = NDArray[np.float64]
 Sequence = tuple[int, ...]
 
 # Begun sequences kept in the order of their bounds (under a kilobyte each). Beyond that many, the next one's whole

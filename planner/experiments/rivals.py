@@ -19,8 +19,8 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.corridor.corridor import build_corridor
 from planner.errors import ProblemError, SolverError
 from planner.paper.alternating import AlternatingMinimisation, Clock, Iteration, certified, feasible_in_time
@@ -30,8 +30,6 @@ from planner.paper.station_graph import check_sequence, shortest_sequence
 from planner.problem import Problem
 from planner.solution import Solution
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # Name in the paper's Table 4 -> algorithm of NLopt. NLopt's own NEWUOA_BOUND can loop for ever between two evaluations
 # (its issue 117, and in a third of our runs), so NEWUOA gets its bounds from a quadratic penalty here.
@@ -80,7 +78,7 @@ def plan_by_rival(
         raise ProblemError(f"no rival called {rival!r}; there are {', '.join(RIVALS)}")
     if time_limit_s is None and max_evaluations is None:
         raise ProblemError("a rival needs a time limit or a number of evaluations to stop at")
-    if problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any():
+    if not problem.starts_at_rest:
         raise ProblemError("the rivals start from rest, as in the paper")
     minimise = _gradient_descent if rival == "BGD" else _nlopt(NLOPT_ALGORITHMS[rival])
     stations = shortest_sequence(problem) if sequence is None else check_sequence(problem, sequence)

@@ -24,24 +24,22 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Indices
 from planner.corridor.cone_program import ConeProgram
 from planner.coverage.disc import covering_stations
 from planner.coverage.overlap import adjacent_pairs
 from planner.errors import SolverError
 from planner.problem import Problem
-from planner.routing.bound import radii_seen_from_above
+from planner.routing.bound import planar_radii_m
 from planner.speed_profile import fastest_time_s
 from planner.trajectory import DEGREE
-
-Array = NDArray[np.float64]
 
 # What the shortest polyline may be too long by: it is a solver's answer, to a tolerance.
 _POLYLINE_EXCESS = 1e-6
 # Points of the grid of lengths of an end piece, planes laid below the length of the others, and what a plane must gain.
 _GRID, _PLANES, _GAIN_S = 17, 4, 0.05
-# Discs are grown by this part of their radius, so that lenses of a hair's breadth leave a solver room.
+# Discs are grown by this part of their radius, so that the thinnest overlaps leave a solver room.
 _GROWTH = 1e-6
 
 
@@ -51,12 +49,11 @@ class SequenceBounds:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         self._centres = problem.station_positions_m[:, :2]
-        self._radii = radii_seen_from_above(problem, problem.ranges_m) * (1.0 + _GROWTH)
+        self._radii = planar_radii_m(problem, problem.ranges_m) * (1.0 + _GROWTH)
         self._unit = float(problem.ranges_m.max())
         self._programs: dict[int, _Polyline] = {}
         self._ends: dict[tuple[str, int, int, bool], tuple[Array, Array]] = {}
-        at_rest = not (problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any())
-        self._slow_ends = at_rest and problem.min_overlap_s == 0.0
+        self._slow_ends = problem.starts_at_rest and problem.min_overlap_s == 0.0
 
     def time_s(self, sequence: Sequence[int], *, complete: bool = False, enough_s: float = math.inf) -> float:
         """A time nothing that begins with ``sequence`` can beat, and so none for the sequence itself.
@@ -98,7 +95,7 @@ class SequenceBounds:
         return bound_s
 
     def _length_m(self, sequence: Sequence[int], weights: Array) -> float:
-        """Length of the shortest polyline with a corner in every lens of the sequence, its pieces weighted."""
+        """Length of the shortest polyline with a corner in every overlap of the sequence, its pieces weighted."""
         start, end = self._problem.start_m[:2], self._problem.destination_m[:2]
         joints = len(sequence) - 1
         if joints == 0:
@@ -119,7 +116,7 @@ class SequenceBounds:
         return max(length * self._unit * (1.0 - _POLYLINE_EXCESS), 0.0)
 
     def _end(self, end: str, station: int, neighbour: int, roomy: bool) -> tuple[Array, Array]:
-        """Lengths a piece between an end and the lens of two stations may have ``(G,)``, and the least time of each.
+        """Lengths a piece between an end and the overlap of two stations may have ``(G,)``, and the least time of each.
 
         Between them the time is concave. ``roomy``: times may hold what the pieces beside it lose.
         """
@@ -130,7 +127,7 @@ class SequenceBounds:
             away = np.linalg.norm(problem.station_positions_m[[station, neighbour]] - point, axis=1)
             ranges = problem.ranges_m[[station, neighbour]]
             # The time bends most where pieces are shortest.
-            nearest = self._seen_from_above_m(float((away - ranges).max()))
+            nearest = self._planar_length_m(float((away - ranges).max()))
             farthest = max(float((away + ranges).min()), nearest)
             lengths_m = nearest + np.linspace(0.0, 1.0, _GRID) ** 2 * (farthest - nearest)
             if roomy:
@@ -145,7 +142,7 @@ class SequenceBounds:
             self._ends[key] = lengths_m, times_s
         return self._ends[key]
 
-    def _seen_from_above_m(self, length_m: float) -> float:
+    def _planar_length_m(self, length_m: float) -> float:
         """The least a piece of that length can be long seen from above."""
         band_m = self._problem.limits.max_alt_m - self._problem.limits.min_alt_m
         return math.sqrt(max(length_m, 0.0) ** 2 - band_m**2) if length_m > band_m else 0.0
@@ -174,7 +171,7 @@ class SequenceBounds:
         if complete:
             ends.append((problem.start_m, sequence[-1]))
         return all(
-            self._seen_from_above_m(
+            self._planar_length_m(
                 float(np.linalg.norm(problem.station_positions_m[station] - point) - problem.ranges_m[station])
             )
             >= 2.0 * ramp_m
@@ -196,7 +193,7 @@ class SequenceBounds:
         if not len(before):
             return 0.0
         away = np.linalg.norm(problem.station_positions_m[before] - problem.destination_m, axis=1)
-        nearest_m = self._seen_from_above_m(float((away - problem.ranges_m[before]).min()))
+        nearest_m = self._planar_length_m(float((away - problem.ranges_m[before]).min()))
         loss_s = float(shortest_from_rest_s(problem, np.array(nearest_m))) - nearest_m / problem.limits.max_speed_m_s
         return max(loss_s, 0.0)
 
@@ -267,7 +264,7 @@ class _Polyline:
         return float(self._cost @ self._program.solve())
 
 
-def _pattern(joints: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _pattern(joints: int) -> tuple[Indices, Indices]:
     """Rows and columns of A: unknown are the joints (x, y, x, y, ...) and then the length of every piece."""
     pieces = joints + 1
     k = np.arange(joints)

@@ -1,25 +1,22 @@
 """Why a chain of ranges is broken: what is wrong with them, and the one station to change.
 
-A vehicle can hover in every lens of a chain of ranges, so where the ends lie in range and a chain links them there is
-always a plan. What is told when there is none stands here; remedies of other kinds are sought in
+A vehicle can hover in every overlap of a chain of ranges, so where the ends lie in range and a chain links them there
+is always a plan. What is told when there is none stands here; remedies of other kinds are sought in
 `planner.infeasibility.explanation`.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
+from planner.arrays import Array, Flags, Indices
 from planner.coverage.disc import covering_stations, range_to_meet_m, usable_stations
-from planner.coverage.overlap import MIN_LENS_M, AdjacentPairs, adjacent_pairs, lens_depth_m, lens_point_m
+from planner.coverage.overlap import MIN_OVERLAP_M, AdjacentPairs, adjacent_pairs, overlap_depth_m, overlap_point_m
 from planner.errors import Infeasibility
-from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from planner.problem import UNMASKED_DEG, Problem
 
 # A broken chain is explained from all pairs up to so many stations, from so many pairs at most above.
 ALL_PAIRS_STATIONS = 1_000
@@ -33,7 +30,7 @@ def diagnose(problem: Problem) -> Infeasibility | None:
 
     Looked for in this order: an end outside the altitude band, an end outside every range, a chain that is broken
     (its widest gap as narrow as any chain has it), more handovers than allowed. None is a promise: a vehicle can
-    then always stop and hover in every lens on its way.
+    then always stop and hover in every overlap on its way.
     """
     for name, position in (("start", problem.start_m), ("destination", problem.destination_m)):
         fault = _altitude_fault(problem, name, position) or _cover_fault(problem, name, position)
@@ -95,7 +92,7 @@ def _elevation_fault(problem: Problem, name: str, position: Array, inside: Indic
     station, angle = int(inside[best]), float(seen[best])
     lowest = float(problem.min_elevation_deg[station])
     # Below the antenna's horizon no limit will do but none.
-    to = angle * (1.0 - 1e-9) if angle > 0.0 else -90.0
+    to = angle * (1.0 - 1e-9) if angle > 0.0 else UNMASKED_DEG
     return Infeasibility(
         f"{name}_uncovered",
         f"the {name} is in range of station {station}, which sees it at an elevation of {angle:.3f} degrees and hears "
@@ -133,29 +130,29 @@ def _handover_fault(
 
 def broken_pair(problem: Problem, i: int, j: int) -> Infeasibility:
     """That stations ``i`` and ``j`` cannot hand over to each other, for a sequence that asks them to."""
-    depth = float(lens_depth_m(problem, i, j))
+    depth = float(overlap_depth_m(problem, i, j))
     return Infeasibility(
         "broken_chain",
         f"the station sequence hands over from station {i} to station {j}, whose ranges {_apart(depth)}",
         (i, j),
         max(-depth, 0.0),
-        _point(lens_point_m(problem, i, j)),
+        _point(overlap_point_m(problem, i, j)),
     )
 
 
 def _apart(depth_m: float) -> str:
     if depth_m < 0.0:
         return f"are {-depth_m:.3f} m apart inside the altitude band"
-    return f"meet in a lens of less than {1000.0 * MIN_LENS_M:.0f} mm inside the altitude band"
+    return f"meet in an overlap of less than {1000.0 * MIN_OVERLAP_M:.0f} mm inside the altitude band"
 
 
 def _broken_chain(problem: Problem, sources: Indices, targets: Indices, labels: Indices) -> Infeasibility:
     chain = _narrowest_chain(problem, sources, targets)
-    depths = lens_depth_m(problem, chain[:-1], chain[1:])
+    depths = overlap_depth_m(problem, chain[:-1], chain[1:])
     worst = int(np.argmin(depths))
     first, second = int(chain[worst]), int(chain[worst + 1])
     gap = max(-float(depths[worst]), 0.0)
-    broken = int(np.count_nonzero(depths < MIN_LENS_M))
+    broken = int(np.count_nonzero(depths < MIN_OVERLAP_M))
     others = f" (and {broken - 1} narrower gaps on the same chain)" if broken > 1 else ""
     raises = _chain_raises(problem, chain, depths)
     single = _smallest_raise(problem, np.isin(labels, labels[sources]), np.isin(labels, labels[targets]))
@@ -175,7 +172,7 @@ def _broken_chain(problem: Problem, sources: Indices, targets: Indices, labels: 
         f"{_apart(float(depths[worst]))}{others}{remedy}",
         (first, second),
         gap,
-        _point(lens_point_m(problem, first, second)),
+        _point(overlap_point_m(problem, first, second)),
         fix,
     )
 
@@ -192,21 +189,21 @@ def _narrowest_chain(problem: Problem, sources: Indices, targets: Indices) -> In
         return _chain_among(problem, np.stack([usable[first], usable[second]], axis=1), sources, targets)
     rough = np.concatenate([adjacent_pairs(problem).pairs, _delaunay_pairs(problem, usable)])
     chain = _chain_among(problem, np.unique(rough, axis=0), sources, targets)
-    widest = max(-float(lens_depth_m(problem, chain[:-1], chain[1:]).min()), 0.0)
+    widest = max(-float(overlap_depth_m(problem, chain[:-1], chain[1:]).min()), 0.0)
     tree = cKDTree(problem.station_positions_m[usable, :2])
     within = 2.0 * float(problem.ranges_m[usable].max()) + widest
     if tree.count_neighbors(tree, within) > 2 * MAX_PAIRS:
         return chain
-    near = adjacent_pairs(problem, min_depth_m=-widest * (1.0 + 1e-9) - MIN_LENS_M)
+    near = adjacent_pairs(problem, min_depth_m=-widest * (1.0 + 1e-9) - MIN_OVERLAP_M)
     return _chain_among(problem, near.pairs, sources, targets)
 
 
 def _chain_among(problem: Problem, pairs: Indices, sources: Indices, targets: Indices) -> Indices:
     count = problem.station_count
     ends = [[count, s] for s in sources] + [[count + 1, t] for t in targets]
-    depths = lens_depth_m(problem, pairs[:, 0], pairs[:, 1])
+    depths = overlap_depth_m(problem, pairs[:, 0], pairs[:, 1])
     # The graph routines read a weight of zero as no edge: everything is shifted by one.
-    gaps = np.concatenate([1.0 + np.maximum(MIN_LENS_M - depths, 0.0), np.ones(len(ends))])
+    gaps = np.concatenate([1.0 + np.maximum(MIN_OVERLAP_M - depths, 0.0), np.ones(len(ends))])
     tree = minimum_spanning_tree(_graph(count + 2, np.concatenate([pairs, np.array(ends)]), gaps))
     _, before = breadth_first_order(tree, count, directed=False, return_predecessors=True)
     path = [int(before[count + 1])]
@@ -235,10 +232,10 @@ def _chain_raises(problem: Problem, chain: Indices, depths_m: Array) -> list[tup
     """Stations of ``chain`` and the metres of range that close its gaps, widest gap first; empty when none can."""
     raises: dict[int, float] = {}
     for k in np.argsort(depths_m, kind="stable"):
-        if depths_m[k] >= MIN_LENS_M:
+        if depths_m[k] >= MIN_OVERLAP_M:
             continue
         ends = chain[k : k + 2]
-        by = range_to_meet_m(problem, ends, ends[::-1], MIN_LENS_M) - problem.ranges_m[ends]
+        by = range_to_meet_m(problem, ends, ends[::-1], MIN_OVERLAP_M) - problem.ranges_m[ends]
         side = int(np.argmin(by))
         if not np.isfinite(by[side]):
             return []
@@ -247,9 +244,7 @@ def _chain_raises(problem: Problem, chain: Indices, depths_m: Array) -> list[tup
     return list(raises.items())
 
 
-def _smallest_raise(
-    problem: Problem, near_start: NDArray[np.bool_], near_end: NDArray[np.bool_]
-) -> tuple[int, float] | None:
+def _smallest_raise(problem: Problem, near_start: Flags, near_end: Flags) -> tuple[int, float] | None:
     """The one station whose range, raised least, touches both connected parts of the graph, and by how much."""
     usable = np.flatnonzero(usable_stations(problem))
     sides = [np.flatnonzero(side) for side in (near_start, near_end)]
@@ -265,7 +260,7 @@ def _smallest_raise(
     gaps = np.zeros(len(usable))
     for side, inside in enumerate((near_start, near_end)):
         others = nearest(usable, side, 4)
-        gap = -lens_depth_m(problem, np.broadcast_to(usable[:, None], others.shape), others).max(axis=1)
+        gap = -overlap_depth_m(problem, np.broadcast_to(usable[:, None], others.shape), others).max(axis=1)
         gaps = np.maximum(gaps, np.where(inside[usable], 0.0, gap))
     best_station, best = -1, np.inf
     for station in usable[np.argsort(gaps, kind="stable")[:SHORTLIST]]:
@@ -273,7 +268,7 @@ def _smallest_raise(
         for side, inside in enumerate((near_start, near_end)):
             if not inside[station]:
                 others = nearest(np.array([station]), side, SHORTLIST)[0]
-                reach = range_to_meet_m(problem, np.full(len(others), station), others, MIN_LENS_M).min()
+                reach = range_to_meet_m(problem, np.full(len(others), station), others, MIN_OVERLAP_M).min()
                 raise_m = max(raise_m, float(reach) - float(problem.ranges_m[station]))
         if raise_m < best:
             best_station, best = int(station), raise_m

@@ -23,11 +23,13 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from planner.arrays import Array
 from planner.coverage.disc import altitude_span_m, covering_stations, disc_radius_m, range_to_meet_m
-from planner.coverage.overlap import MIN_LENS_M, adjacent_pairs
+from planner.coverage.grid_zoom import least_by_zooming
+from planner.coverage.overlap import MIN_OVERLAP_M, adjacent_pairs
 from planner.errors import Infeasibility
 from planner.infeasibility.diagnosis import diagnose
-from planner.problem import Limits, Problem
+from planner.problem import UNMASKED_DEG, Limits, Problem
 from planner.routing.bound import LowerBound
 
 # Above this many stations only the first remedy is worked out: the others take some dozens of diagnoses each.
@@ -314,8 +316,7 @@ def _elevations(problem: Problem) -> dict[str, object] | None:
 def _move(problem: Problem, found: Infeasibility) -> dict[str, object] | None:
     """The end that is out of range moved to the nearest place in the band that a station covers.
 
-    At every altitude the way to a disc is known, and the distance of the two together is convex: the best one is
-    found by zooming in.
+    At every altitude the way to a disc is known, and the distance of the two together is convex.
     """
     assert found.position_m is not None
     point = np.array(found.position_m)
@@ -326,19 +327,15 @@ def _move(problem: Problem, found: Infeasibility) -> dict[str, object] | None:
     low, high = low[usable], high[usable]
     masts = problem.station_positions_m[usable, :2]
     away = np.linalg.norm(masts - point[:2], axis=1)
-    grid = np.linspace(0.0, 1.0, 17)
-    for _ in range(12):
-        altitude = low[:, None] + grid * (high - low)[:, None]
-        aside = np.maximum(away[:, None] - disc_radius_m(problem, usable[:, None], altitude), 0.0)
-        distance = np.hypot(aside, altitude - point[2])
-        at = np.argmin(distance, axis=1)[:, None]
-        low = np.take_along_axis(altitude, np.maximum(at - 1, 0), axis=1)[:, 0]
-        high = np.take_along_axis(altitude, np.minimum(at + 1, len(grid) - 1), axis=1)[:, 0]
-    best = int(np.argmin(distance.min(axis=1)))
-    k = int(at[best, 0])
-    by_m, up = float(distance[best, k]), float(altitude[best, k])
+
+    def aside_m(altitude: Array) -> Array:
+        return np.asarray(np.maximum(away[:, None] - disc_radius_m(problem, usable[:, None], altitude), 0.0))
+
+    altitude, distance = least_by_zooming(lambda z: np.hypot(aside_m(z), z - point[2]), low, high)
+    best = int(np.argmin(distance))
+    by_m, up, aside = float(distance[best]), float(altitude[best]), float(aside_m(altitude[:, None])[best, 0])
     # A billionth further in, so that rounding leaves it covered.
-    inwards = min(1.0, (float(aside[best, k]) + 1e-9 * float(problem.ranges_m.max())) / max(float(away[best]), 1e-9))
+    inwards = min(1.0, (aside + 1e-9 * float(problem.ranges_m.max())) / max(float(away[best]), 1e-9))
     to = np.array([*(point[:2] + inwards * (masts[best] - point[:2])), up])
     of = found.reason.partition("_")[0]
     moved: dict[str, Any] = {f"{of}_m": to}
@@ -379,15 +376,16 @@ def _station(problem: Problem, found: Infeasibility) -> dict[str, object] | None
         return None
     neighbours = np.array(found.stations)
     point = np.array([*found.position_m[:2], float(problem.station_positions_m[neighbours, 2].mean())])
+    angles = problem.min_elevation_deg
     extended = replace(
         problem,
         station_positions_m=np.vstack([problem.station_positions_m, point]),
         ranges_m=np.append(problem.ranges_m, 1.0),
         bound_ranges_m=None,
-        min_elevation_deg=None if problem.min_elevation_deg is None else np.append(problem.min_elevation_deg, -90.0),
+        min_elevation_deg=None if angles is None else np.append(angles, UNMASKED_DEG),
     )
     new = np.full(len(neighbours), problem.station_count)
-    needed = float(range_to_meet_m(extended, new, neighbours, MIN_LENS_M).max())
+    needed = float(range_to_meet_m(extended, new, neighbours, MIN_OVERLAP_M).max())
     if found.reason != "broken_chain":
         needed = max(needed, float(np.linalg.norm(point - np.array(found.position_m))))
     if not np.isfinite(needed):

@@ -1,4 +1,4 @@
-"""The rows of a piece: its control points as combinations of its joints' states, linear but for the duration.
+"""Control-point rows: the control points of a piece as combinations of its joints' states, linear but for the time.
 
 Unknown are the position W, velocity V and acceleration A at every inner joint, and of every piece its duration T
 and its two inner acceleration control points K_1, K_2 (degree 5). Everything else is a polynomial in them, with no
@@ -14,8 +14,8 @@ with two vector equations a piece, the dynamics of a curve of degree 5 (paper eq
     E_1:  V' - V = T/4 (A + K_1 + K_2 + A')
     E_2:  W' - W = T V + T^2/20 (4 A + 3 K_1 + 2 K_2 + A')
 
-Each control point is thus a *row* of a table: a combination of the eight vectors (W, V, A, W', V', A', K_1, K_2) whose
-coefficients are polynomials in T, the same for all three axes and all pieces.
+Each control point is thus a *control-point row* of a table: a combination of the eight vectors (W, V, A, W', V', A',
+K_1, K_2) whose coefficients are polynomials in T, the same for all three axes and all pieces.
 
 Rows are also homogeneous. Count W, V, A and the rows P, Q, K as of dimension 0, 1, 2: then a coefficient at T is the
 one at T = 1 times T^(dimension of the vector - dimension of the row). It stays so when K_1 and K_2 are eliminated by
@@ -28,19 +28,16 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import bezier
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from planner.arrays import Array, Indices
 
 # The eight vectors of a piece: the joint before, the joint after, the inner two.
 W, V, A, W1, V1, A1, K1, K2 = range(8)
 VECTORS = 8
 VECTOR_DIMENSION = np.array([0, 1, 2, 0, 1, 2])
 
-# Rows that every table has, by what they are.
+# Control-point rows that every table has, by what they are.
 P_ROWS = (0, 1, 2, 3, 4, 5)
 Q_ROWS = (6, 7, 8, 9)  # Q_1 .. Q_4; Q_0 is Q_4 of the piece before
 K_ROWS = (10, 11, 12)  # K_1 .. K_3; K_0 is K_3 of the piece before
@@ -74,7 +71,8 @@ SOLVE_INNER = np.array([[-2.0, 1.0], [3.0, -1.0]])
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """``coefficients`` ``(3, R + 2, 8)`` of 1, T and T^2 in the ``R`` rows and, last, in the residuals of E_1, E_2.
+    """Control-point rows: ``coefficients`` ``(3, R + 2, 8)`` of 1, T and T^2 in the ``R`` rows and, last, in the
+    residuals of E_1, E_2.
 
     ``dimension`` ``(R,)`` of every row. ``jerk_rows``, ``velocity_rows``, ``acceleration_rows`` are empty where the
     table lacks them; the latter two are velocity and acceleration at the Gauss nodes.

@@ -1,4 +1,4 @@
-"""A primal-dual interior-point method for `ShootingProblem`: minimise sum T subject to c <= 0 and e = 0.
+"""A primal-dual interior-point method for `Transcription`: minimise sum T subject to c <= 0 and e = 0.
 
 The usual method (Waechter and Biegler 2006: slacks, barrier, filter line search with second-order correction,
 inertia correction), shaped to this problem: the Newton system is banded once K_1 and K_2 are eliminated
@@ -14,14 +14,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from planner.arrays import Array
 from planner.joint.newton import NewtonSystem, Step
 from planner.joint.objective import Objective
-from planner.joint.transcription import Point, ShootingProblem
-
-Array = NDArray[np.float64]
+from planner.joint.transcription import Point, Transcription
 
 # Filter constants of Waechter and Biegler 2006, section 2.3.
 _GAMMA = 1e-5
@@ -83,7 +81,7 @@ class Start(NamedTuple):
 
 
 def minimise_duration(
-    problem: ShootingProblem,
+    problem: Transcription,
     objective: Objective,
     start: Start,
     *,
@@ -108,7 +106,7 @@ def minimise_duration(
 
 class _InteriorPoint:
     def __init__(
-        self, problem: ShootingProblem, objective: Objective, start: Start, tolerance: float, feasibility: float
+        self, problem: Transcription, objective: Objective, start: Start, tolerance: float, feasibility: float
     ) -> None:
         self.problem, self.x, self.inner = problem, start.x.copy(), start.inner.copy()
         self.tolerance, self.feasibility, self.rule = tolerance, feasibility, start.rule

@@ -2,9 +2,9 @@
 
 Each piece's inner unknowns K_1, K_2 are eliminated by its own two equations before anything is assembled: linearised,
 they are combinations of the piece's joints and T. What is left couples neighbouring joints alone, one banded matrix
-of half-width 19. A piece's part of it is a sum over its rows, of products of two coefficients times the row's 3 x 3
-matrix; since rows are homogeneous in T (`planner.joint.control_rows`), that sum is one product with a constant matrix
-for all pieces.
+of half-width 19. A piece's part of it is a sum over its control-point rows, of products of two coefficients times the
+row's 3 x 3 matrix; since rows are homogeneous in T (`planner.joint.control_rows`), that sum is one product with a
+constant matrix for all pieces.
 """
 
 from __future__ import annotations
@@ -13,22 +13,19 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from planner.arrays import Array, Indices
 from planner.joint.control_rows import VECTOR_DIMENSION, Table, product
 from planner.joint.objective import Objective
 from planner.joint.transcription import (
     Point,
-    ShootingProblem,
+    Transcription,
     inner_scale,
     solve_inner,
     solve_inner_transposed,
     sum_over_rows,
 )
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # A piece's unknowns that neighbours share: nine of the joint before, T, nine of the joint after.
 JOINT = 19
@@ -102,7 +99,7 @@ class NewtonSystem:
     """
 
     def __init__(
-        self, problem: ShootingProblem, objective: Objective, at: Point, multipliers: Array, equation: Array
+        self, problem: Transcription, objective: Objective, at: Point, multipliers: Array, equation: Array
     ) -> None:
         self.problem, self.objective, self.at, self.multipliers = problem, objective, at, multipliers
         self._table = problem.table

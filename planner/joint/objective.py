@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.joint.control_rows import GAUSS_WEIGHTS, Table
 from planner.joint.transcription import FIRST_AXIS, SECOND_AXIS, Point
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +77,7 @@ class Objective:
         return np.asarray(even[1:] - even[:-1])
 
     def row_gradient(self, at: Point) -> Array:
-        """Gradient by the rows at the nodes, velocities first, divided by T: ``(8, 3, K)``."""
+        """Gradient by the control-point rows at the nodes, velocities first, divided by T: ``(8, 3, K)``."""
         velocity, acceleration = self._nodes(at)
         weight = self.energy_weight * GAUSS_WEIGHTS[:, None, None]
         fast = np.sqrt((velocity * velocity).sum(1, keepdims=True))

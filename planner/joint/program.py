@@ -1,4 +1,4 @@
-"""A planning problem along one corridor as a scaled `ShootingProblem`, and a first guess to start from."""
+"""A planning problem along one corridor as a scaled `Transcription`, and a first guess to start from."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags, Indices
 from planner.corridor.corridor import Corridor
-from planner.coverage.overlap import lens_depth_m
+from planner.coverage.elevation_mask import ElevationMask
+from planner.coverage.overlap import overlap_depth_m
 from planner.joint import control_rows
-from planner.joint.transcription import HeightConstraints, NormConstraints, ShootingProblem
+from planner.joint.transcription import HeightConstraints, NormConstraints, Transcription
 from planner.problem import Problem
 from planner.speed_profile import speed_profile
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # Relative shrinking of every limit, well above the violation the solver leaves and far below anything that matters.
 SHRINK = 1e-7
@@ -63,17 +63,17 @@ def scale_of(problem: Problem, waypoints_m: Array) -> Scale:
 
 
 def feasibility_of(problem: Problem, corridor: Corridor, scale: Scale) -> float:
-    """Violation, scaled, that the hair taken off every limit still covers."""
+    """Violation, scaled, that the tolerance taken off every limit still covers."""
     balls = list(corridor.sequence)
-    hair_m = float((problem.ranges_m - inner_radii_m(problem, corridor))[balls].min())
+    tolerance_m = float((problem.ranges_m - inner_radii_m(problem, corridor))[balls].min())
     # Near its apex a cone is flat: an error of its square shows as the root of that (see `_add_elevation`).
-    finest = SHRINK if problem.min_elevation_deg is None else 1e-11
-    return max(0.1 * min(finest, hair_m / scale.length_m), 1e-13)
+    finest = SHRINK if ElevationMask.of(problem) is None else 1e-11
+    return max(0.1 * min(finest, tolerance_m / scale.length_m), 1e-13)
 
 
 def build_program(
     problem: Problem, corridor: Corridor, scale: Scale, waypoints_m: Array, *, energy: bool = False
-) -> ShootingProblem:
+) -> Transcription:
     """The scaled constraints of ``problem`` along ``corridor``; ``energy`` where the objective has that term."""
     speed, accel = scale.speed_m_s, scale.accel_m_s2
     zero = np.zeros(3)
@@ -87,7 +87,7 @@ def build_program(
     last = np.concatenate([(problem.destination_m - scale.origin_m) / scale.length_m, zero, zero])
     min_durations = min_piece_durations_s(problem, corridor, scale, waypoints_m) / scale.time_s
     table = control_rows.table(jerk=problem.limits.max_jerk_m_s3 is not None, nodes=energy)
-    return ShootingProblem(
+    return Transcription(
         table, first, last, _norms(problem, corridor, scale), _heights(problem, corridor, scale), min_durations
     )
 
@@ -113,18 +113,18 @@ def min_piece_durations_s(problem: Problem, corridor: Corridor, scale: Scale, wa
 
 
 def inner_radii_m(problem: Problem, corridor: Corridor) -> Array:
-    """``(M,)``: ranges made smaller by a hair, and by less where that would close a lens of the corridor."""
+    """``(M,)``: ranges less a tolerance, less of one where that would close an overlap of the corridor."""
     shrink = SHRINK * problem.ranges_m
     if len(corridor.sequence) > 1:
         before, after = np.array(corridor.sequence[:-1]), np.array(corridor.sequence[1:])
-        allowed = 0.01 * np.maximum(lens_depth_m(problem, before, after), 0.0)
+        allowed = 0.01 * np.maximum(overlap_depth_m(problem, before, after), 0.0)
         np.minimum.at(shrink, before, allowed)
         np.minimum.at(shrink, after, allowed)
     return np.asarray(problem.ranges_m - shrink)
 
 
 class _NormBuilder:
-    """Collects norm constraints: each ``add`` is one row of the table for some pieces."""
+    """Collects norm constraints: each ``add`` is one control-point row for some pieces."""
 
     def __init__(self, pieces: int) -> None:
         self.all = np.arange(pieces)
@@ -139,7 +139,7 @@ class _NormBuilder:
         weight: Array | None = None,
         time_radius: float = 0.0,
         scale: Array | float | None = None,
-        active: NDArray[np.bool_] | None = None,
+        active: Flags | None = None,
     ) -> None:
         """All values broadcast over the pieces; ``active`` says for which of them the constraint is there."""
         chosen = self.all if active is None else np.flatnonzero(active)
@@ -176,7 +176,7 @@ def _norms(problem: Problem, corridor: Corridor, scale: Scale) -> NormConstraint
     limits, pieces = problem.limits, corridor.pieces
     inside = 1.0 - SHRINK
     build = _NormBuilder(len(pieces))
-    radii = inner_radii_m(problem, corridor)
+    radii, mask = inner_radii_m(problem, corridor), ElevationMask.of(problem)
     for slot in range(max(len(piece.balls) for piece in pieces)):
         used = np.array([slot < len(piece.balls) for piece in pieces])
         ball = np.array([piece.balls[slot] if slot < len(piece.balls) else piece.balls[0] for piece in pieces])
@@ -186,8 +186,8 @@ def _norms(problem: Problem, corridor: Corridor, scale: Scale) -> NormConstraint
         for row in control_rows.P_ROWS:
             active = used & new if row == 0 else used
             build.add(row, radii[ball] / scale.length_m, centre=centre, active=active)
-            if problem.min_elevation_deg is not None:
-                _add_elevation(build, problem, scale, row, ball, centre, active)
+            if mask is not None:
+                _add_elevation(build, problem, mask.at(ball), scale, row, ball, centre, active)
     fast = limits.max_speed_m_s / scale.speed_m_s * inside
     strong = limits.max_accel_m_s2 / scale.accel_m_s2 * inside
     for row in control_rows.Q_ROWS:
@@ -209,29 +209,30 @@ def _norms(problem: Problem, corridor: Corridor, scale: Scale) -> NormConstraint
 def _add_elevation(
     build: _NormBuilder,
     problem: Problem,
+    mask: ElevationMask,
     scale: Scale,
     row: int,
-    station: NDArray[np.int64],
+    station: Indices,
     centre: Array,
-    active: NDArray[np.bool_],
+    active: Flags,
 ) -> None:
     """Cones above stations: tan^2(elevation) |horizontal|^2 <= height^2; `_heights` keeps the height positive."""
-    assert problem.min_elevation_deg is not None
-    slope = np.tan(np.radians(np.maximum(problem.min_elevation_deg[station], 0.0)) * (1.0 + SHRINK))
+    slope = np.tan(mask.angle_rad * (1.0 + SHRINK))
     weight = np.stack([slope**2, slope**2, -np.ones_like(slope)], axis=1)
     height = problem.limits.max_alt_m - problem.station_positions_m[station, 2]
     size = np.maximum(height / scale.length_m, 1e-3)
-    # The apex a hair higher than it is, more than the root of twice the violation that may be left.
+    # The apex higher than it is by a tolerance, more than the root of twice the violation that may be left.
     apex = centre + np.array([0.0, 0.0, 1.0]) * (2e-6 * size)[:, None]
-    build.add(row, 0.0, centre=apex, weight=weight, scale=size, active=active & (slope > 0))
+    build.add(row, 0.0, centre=apex, weight=weight, scale=size, active=active & mask.cone)
 
 
 def _lowest_m(problem: Problem, corridor: Corridor) -> Array:
     """``(K,)``: the band's floor, or the highest antenna that hears nothing below itself."""
     lowest = np.full(len(corridor), problem.limits.min_alt_m)
-    if problem.min_elevation_deg is not None:
+    mask = ElevationMask.of(problem)
+    if mask is not None:
         for k, piece in enumerate(corridor.pieces):
-            masked = [b for b in piece.balls if problem.min_elevation_deg[b] >= 0.0]
+            masked = [b for b in piece.balls if mask.limited[b]]
             lowest[k] = max([lowest[k], *problem.station_positions_m[masked, 2]])
     return lowest
 
@@ -239,9 +240,9 @@ def _lowest_m(problem: Problem, corridor: Corridor) -> Array:
 def _heights(problem: Problem, corridor: Corridor, scale: Scale) -> HeightConstraints:
     limits, count = problem.limits, len(corridor)
     band = limits.max_alt_m - limits.min_alt_m
-    hair = min(0.05 * SHRINK * (band + 1.0), 0.01 * band)
-    low = (_lowest_m(problem, corridor) + hair - scale.origin_m[2]) / scale.length_m
-    high = np.full(count, (limits.max_alt_m - hair - scale.origin_m[2]) / scale.length_m)
+    tolerance = min(0.05 * SHRINK * (band + 1.0), 0.01 * band)
+    low = (_lowest_m(problem, corridor) + tolerance - scale.origin_m[2]) / scale.length_m
+    high = np.full(count, (limits.max_alt_m - tolerance - scale.origin_m[2]) / scale.length_m)
     # P_0 is P_5 of the piece before, which may be allowed lower.
     new = np.concatenate([[False], low[1:] > low[:-1]])
     bounds = [(row, low, high, np.ones(count, dtype=bool) if row else new) for row in control_rows.P_ROWS]
@@ -259,7 +260,7 @@ def _heights(problem: Problem, corridor: Corridor, scale: Scale) -> HeightConstr
 
 
 def first_guess(
-    problem: Problem, program: ShootingProblem, scale: Scale, waypoints_m: Array, *, at_rest: bool = False
+    problem: Problem, program: Transcription, scale: Scale, waypoints_m: Array, *, at_rest: bool = False
 ) -> tuple[Array, Array]:
     """Unknowns for the polyline flown with a trapezoidal speed profile, slowed where it bends sharply.
 
@@ -296,7 +297,7 @@ def first_guess(
     return x, program.consistent_inner(x, 0.9 * accel_limit)
 
 
-def guess_from(program: ShootingProblem, scale: Scale, trajectory: Trajectory) -> tuple[Array, Array]:
+def guess_from(program: Transcription, scale: Scale, trajectory: Trajectory) -> tuple[Array, Array]:
     """Unknowns of a trajectory of degree 5 with as many pieces as the program."""
     x = np.zeros(program.unknowns)
     x[0::10] = trajectory.durations_s / scale.time_s

@@ -1,8 +1,10 @@
-"""The joint position-and-time planner on one station sequence, and what it falls back to.
+"""The joint position-and-time planner on one station sequence.
 
 sequence ──► corridor ──► polyline, a point per joint ──► interior point ──► scaled to the limits ──► certificate
-                               │ another start, when that fails or looks bad
-                               └──► alternating minimisation (the paper's method, from a start at rest always feasible)
+                               ▲                               │
+                               └── another start, when that ───┘ fails or looks bad
+
+Where no start leads anywhere, `planner.planner` falls back to alternating minimisation.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import numpy as np
 from planner.certificate import Certificate, certify
 from planner.corridor.corridor import Corridor, build_corridor
 from planner.corridor.handover_polyline import polyline_along
-from planner.corridor.joint_placement import spread_waypoints
+from planner.corridor.joint_placement import place_joints
 from planner.corridor.limit_check import CorridorCheck
 from planner.coverage.disc import disc_radius_m, usable_stations
 from planner.energy import cost_s
@@ -88,7 +90,7 @@ def plan_joint(
     best: Attempt | None = None
     iterations = 0
     flat = problem.limits.min_alt_m == problem.limits.max_alt_m
-    solvable = seen_from_above(problem) if flat else problem
+    solvable = planar_problem(problem) if flat else problem
     extra = min(MAX_EXTRA, max(0, ceil(effort.least_pieces / len(sequence)) - effort.pieces_per_leg))
     # A station alone is first and last at once.
     at_ends = effort.pieces_at_ends * (2 if len(sequence) == 1 else 1)
@@ -104,7 +106,7 @@ def plan_joint(
             solved = solve_corridor(
                 solvable,
                 corridor,
-                spread_waypoints(problem, corridor, polyline),
+                place_joints(problem, corridor, polyline),
                 energy_weight=energy_weight,
                 tolerance=effort.tolerance,
                 max_iterations=effort.max_iterations,
@@ -125,8 +127,8 @@ def plan_joint(
     return best
 
 
-def seen_from_above(problem: Problem) -> Problem:
-    """A problem whose altitude band has no height, as the same problem in the plane.
+def planar_problem(problem: Problem) -> Problem:
+    """The planar problem: one whose altitude band has no height, as the same problem in the plane.
 
     Every range becomes its disc at that altitude, centred in it, and the band opens: with all forces in the plane, a
     solver that starts in it stays there, and has the room around it that interior-point methods need.
@@ -153,8 +155,7 @@ def without_rounding(problem: Problem, trajectory: Trajectory) -> Trajectory:
     place, which a certificate at zero tolerance sees.
     """
     points = trajectory.control_points_m.copy()
-    at_rest = not (problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any())
-    points[0, : 3 if at_rest else 1] = problem.start_m
+    points[0, : 3 if problem.starts_at_rest else 1] = problem.start_m
     points[-1, -3:] = problem.destination_m
     altitude = points[..., 2]
     inside = np.clip(altitude, problem.limits.min_alt_m, problem.limits.max_alt_m)
@@ -174,7 +175,7 @@ def within_limits(problem: Problem, corridor: Corridor, trajectory: Trajectory) 
     """
     check = CorridorCheck(problem, corridor)
     slowest = float(check.slowdown(trajectory.control_points_m, trajectory.durations_s).max())
-    moving = problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any()
+    moving = not problem.starts_at_rest
     if slowest <= 1.0 or not np.isfinite(slowest) or (moving and slowest > 1.0 + ROUNDING):
         return trajectory
     return trajectory.scale_time(slowest * (1.0 + (0.5 * ROUNDING if moving else 1e-9)))

@@ -1,11 +1,11 @@
-"""The joint problem over positions and times, as smooth functions of the states at the joints.
+"""The transcription of the joint problem over positions and times: smooth functions of the states at the joints.
 
 The paper alternates between control points with times fixed and times with boundary states fixed. Here both move
 at once: unknown are the states at the inner joints, the durations and two acceleration control points a piece, and
-every control point is a row of `planner.joint.control_rows.Table`. A constraint is a function of one row (and of T):
-the norm of a row less a centre (range, speed, acceleration, jerk, airspeed, elevation cone), or bounds on its third
-axis (altitude, climb, descent). Its gradient is a vector of space for the row and a number for T, so a few products
-with the constant table replace the Jacobian, which is never formed.
+every control point is a control-point row of `planner.joint.control_rows.Table`, a row for short. A constraint is a
+function of one row (and of T): the norm of a row less a centre (range, speed, acceleration, jerk, airspeed, elevation
+cone), or bounds on its third axis (altitude, climb, descent). Its gradient is a vector of space for the row and a
+number for T, so a few products with the constant table replace the Jacobian, which is never formed.
 
 Arrays have the pieces last: vectors ``(8, 3, K)``, rows ``(R + 2, 3, K)``. Lengths and times are scaled
 (`planner.joint.program.Scale`); nothing in this module is in metres or seconds.
@@ -18,12 +18,9 @@ from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags, Indices
 from planner.joint.control_rows import A1, SOLVE_INNER, V1, VECTORS, W1, A, Table, V, W, product
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Entries (first axis, second axis) of a symmetric 3 x 3 matrix, kept as six numbers, its diagonal first.
 FIRST_AXIS, SECOND_AXIS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
@@ -84,8 +81,8 @@ class Point:
         return self.rows[-2:]
 
 
-class ShootingProblem:
-    """Functions of the scaled joint problem with ``K`` pieces between fixed end states ``(9,)`` (W, V, A).
+class Transcription:
+    """The scaled joint problem with ``K`` pieces between fixed end states ``(9,)`` (W, V, A).
 
     Unknowns: ``x`` ``(10 K - 9,)``: T of piece 0, the state after it, T of piece 1, ...; and ``inner`` ``(2, 3, K)``,
     being K_1 and K_2. Constraints that no unknown moves, such as the first control points of a start at rest, are
@@ -124,7 +121,7 @@ class ShootingProblem:
         height_matrix = (6 * h.rows + THIRD_SQUARED) * self.pieces + h.pieces
         self._matrix_index = np.concatenate([norm_matrix.ravel(), height_matrix])
 
-    def _constant_rows(self, axes: slice = slice(None)) -> NDArray[np.bool_]:
+    def _constant_rows(self, axes: slice = slice(None)) -> Flags:
         """``(R, K)``: rows that no unknown moves, as seen in some ``axes`` alone."""
         constant = np.zeros((self.rows, self.pieces), dtype=bool)
         for piece in {0, self.pieces - 1}:
@@ -264,7 +261,7 @@ class ShootingProblem:
         return limited
 
 
-def _select(constraints: _Constraints, kept: NDArray[np.bool_]) -> _Constraints:
+def _select(constraints: _Constraints, kept: Flags) -> _Constraints:
     return type(constraints)(*(getattr(constraints, field.name)[..., kept] for field in fields(constraints)))
 
 

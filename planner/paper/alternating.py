@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.certificate import certify
-from planner.corridor.chebyshev import Refuges, find_refuges
+from planner.corridor.chebyshev import ChebyshevCentres, chebyshev_centres
 from planner.corridor.corridor import Corridor, build_corridor
 from planner.corridor.limit_check import CorridorCheck
 from planner.corridor.polyline_program import shortest_polyline
@@ -28,7 +28,6 @@ from planner.problem import Problem
 from planner.solution import Solution
 from planner.trajectory import Trajectory
 
-Array = NDArray[np.float64]
 Clock = Callable[[], float]
 
 # The gain of an iteration halves and halves; far beyond any use.
@@ -62,7 +61,7 @@ def plan_paper(
 
     Stops when an iteration gains no more than ``delta_t_s``, or before the one that would start after
     ``max_runtime_s``, which alone makes the result depend on the machine. ``record`` collects every iteration, the
-    initial trajectory first. The result is certified at zero tolerance; a corridor whose lenses are `MIN_LENS_M`
+    initial trajectory first. The result is certified at zero tolerance; a corridor whose overlaps are `MIN_OVERLAP_M`
     deep always has one when the vehicle starts at rest.
 
     Raises `InfeasibleError` where the ranges do not chain together, `SolverError` when no trajectory was found all
@@ -118,13 +117,13 @@ class AlternatingMinimisation:
         self.problem, self.corridor = problem, corridor
         self.tolerance_s = bisection_tolerance_s
         self.check = CorridorCheck(problem, corridor)
-        self.refuges: Refuges = find_refuges(problem, corridor)
-        self.waypoints_m = shortest_polyline(problem, corridor, self.refuges)
-        self.program = ControlPointProgram(problem, corridor, self.waypoints_m, self.refuges)
+        self.centres: ChebyshevCentres = chebyshev_centres(problem, corridor)
+        self.waypoints_m = shortest_polyline(problem, corridor, self.centres)
+        self.program = ControlPointProgram(problem, corridor, self.waypoints_m, self.centres)
         self.minima_s = piece_minima(problem, corridor)
         self.durations_s = initial_durations(problem, corridor, self.waypoints_m)
         self.boundary = rest_at(self.waypoints_m)
-        self.moving = bool(problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any())
+        self.moving = not problem.starts_at_rest
         if self.moving:
             self._catch_moving_start()
 
@@ -158,8 +157,8 @@ class AlternatingMinimisation:
         return float(durations_s.sum() * max(1.0, self.check.slowdown(points, durations_s).max()))
 
     def drawn_inside(self, boundary: Array, durations_s: Array) -> Array:
-        """``boundary`` drawn towards rest in the refuges as far as it takes to keep range and band exactly."""
-        still = rest_at(np.vstack([self.problem.start_m, self.refuges.points_m, self.problem.destination_m]))
+        """``boundary`` drawn towards rest in the Chebyshev centres just as far as keeps range and band exactly."""
+        still = rest_at(np.vstack([self.problem.start_m, self.centres.points_m, self.problem.destination_m]))
         share = 0.0
         drawn = boundary
         while self.check.place_excess_m(control_points(drawn, durations_s)).max() > 0.0 and share < 1.0:

@@ -12,13 +12,11 @@ so a trajectory is its boundary conditions and durations, and constraints (13) a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.corridor.corridor import Corridor
 from planner.problem import Problem
 from planner.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # Rows: control points; columns: W, T V, T^2 A at the start, then at the end.
 CONTROL_FROM_BOUNDARY: Array = np.array(

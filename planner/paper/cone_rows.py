@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from planner.arrays import Array, Flags, Indices
 
 # Powers of T that go with position, velocity and acceleration at the start and at the end of a piece.
 _POWERS = np.array([0, 1, 2, 0, 1, 2])
@@ -56,7 +55,7 @@ class ConeRows:
     _power: Indices
     _piece: Indices
     _state: Indices
-    _unknown: NDArray[np.bool_]
+    _unknown: Flags
     _constant: Array
 
     def numbers(self, durations: Array, reference: Array) -> tuple[Array, Array]:
@@ -77,7 +76,7 @@ class ConeRows:
 class ConeLayout:
     """Collects the rows. ``free`` ``(S + 1, 3, 3)`` says which boundary conditions are unknown."""
 
-    def __init__(self, free: NDArray[np.bool_]) -> None:
+    def __init__(self, free: Flags) -> None:
         states = np.arange(free.size).reshape(free.shape)
         # (S, 6, 3): where W, V, A at the start and at the end of each piece stand among all states.
         self._state = np.concatenate([states[:-1], states[1:]], axis=1)
@@ -175,7 +174,7 @@ class ConeLayout:
             _constant=np.concatenate([*self._linear.constants, *self._conic.constants]),
         )
 
-    def _touched(self, pieces: Indices, combination: Array, axes: list[int]) -> NDArray[np.bool_]:
+    def _touched(self, pieces: Indices, combination: Array, axes: list[int]) -> Flags:
         used = np.flatnonzero(combination)
         return np.asarray(self._is_free[self._state[pieces][:, used][:, :, axes]].any(axis=(1, 2)))
 

@@ -12,17 +12,16 @@ Lengths are in units of the mean range and times in units of the mean duration a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.corridor.chebyshev import BAND_SHRINK_M, Refuges
+from planner.arrays import Array
+from planner.corridor.chebyshev import BAND_SHRINK_M, ChebyshevCentres
 from planner.corridor.cone_program import ConeProgram
 from planner.corridor.corridor import Corridor
+from planner.coverage.elevation_mask import ElevationMask
 from planner.paper.boundary import CONTROL_FROM_BOUNDARY, rest_at
 from planner.paper.cone_rows import ConeLayout
 from planner.paper.initial import initial_durations
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
 
 _VELOCITY = np.diff(CONTROL_FROM_BOUNDARY, axis=0)
 _ACCELERATION = np.diff(_VELOCITY, axis=0)
@@ -33,10 +32,10 @@ class ControlPointProgram:
     """P5 of one corridor, laid out once and solved for many durations.
 
     ``waypoints_m`` ``(S + 1, 3)`` (start, joints, destination) are where the unknowns are counted from; joints that
-    are thin in ``refuges`` stay there.
+    are thin in ``centres`` stay there.
     """
 
-    def __init__(self, problem: Problem, corridor: Corridor, waypoints_m: Array, refuges: Refuges) -> None:
+    def __init__(self, problem: Problem, corridor: Corridor, waypoints_m: Array, centres: ChebyshevCentres) -> None:
         limits = problem.limits
         # Of the corridor's own size, so that coordinates and durations are numbers around one.
         self._length = float(problem.ranges_m[list(corridor.sequence)].mean())
@@ -49,13 +48,13 @@ class ControlPointProgram:
         self._flat = limits.min_alt_m == limits.max_alt_m
         self._free = np.ones(self._reference.shape, dtype=bool)
         self._free[[0, -1]] = False
-        self._free[1:-1][refuges.thin, 0] = False
+        self._free[1:-1][centres.thin, 0] = False
         if self._flat:
             self._free[..., 2] = False
         self.unknowns = int(self._free.sum())
         if self.unknowns:
             layout = ConeLayout(self._free)
-            _lay_out(layout, problem, corridor, refuges, self._origin, self._length, self._time)
+            _lay_out(layout, problem, corridor, centres, self._origin, self._length, self._time)
             self._rows = layout.finish()
             start = self._reference.copy()
             start[:, 0] -= self._origin
@@ -95,13 +94,13 @@ def _lay_out(
     layout: ConeLayout,
     problem: Problem,
     corridor: Corridor,
-    refuges: Refuges,
+    centres: ChebyshevCentres,
     origin_m: Array,
     length_m: float,
     time_s: float,
 ) -> None:
-    limits, pieces = problem.limits, np.arange(len(corridor))
-    shrink = np.concatenate([[np.inf], refuges.shrink_m, [np.inf]])
+    limits, mask, pieces = problem.limits, ElevationMask.of(problem), np.arange(len(corridor))
+    shrink = np.concatenate([[np.inf], centres.shrink_m, [np.inf]])
     shrink_of_piece = np.minimum(shrink[:-1], shrink[1:])
     shrink_of_piece[~np.isfinite(shrink_of_piece)] = 0.0
     # Control points: P1 .. P4 of every piece, and its last one, the joint, which also lies in the next piece's balls.
@@ -114,14 +113,12 @@ def _lay_out(
         room = shrink_of_piece[owner] if j < 5 else shrink[owner + 1]
         offset = (problem.station_positions_m[station] - origin_m) / length_m
         layout.cone(owner, combination, offset=offset, bound=(problem.ranges_m[station] - room) / length_m)
-        if problem.min_elevation_deg is not None:
-            angle = problem.min_elevation_deg[station]
+        if mask is not None:
+            own = mask.at(station)
             lowest = offset[:, 2] + room / length_m
-            flat = angle == 0.0
-            layout.linear(owner[flat], combination, 2, 1.0, -lowest[flat])
-            steep = angle > 0.0
-            apex = np.column_stack([offset[:, :2], lowest])[steep]
-            layout.upright_cone(owner[steep], combination, apex=apex, slope=np.tan(np.radians(angle[steep])))
+            layout.linear(owner[own.horizon], combination, 2, 1.0, -lowest[own.horizon])
+            apex = np.column_stack([offset[:, :2], lowest])[own.cone]
+            layout.upright_cone(owner[own.cone], combination, apex=apex, slope=own.slope[own.cone])
         band = min(BAND_SHRINK_M, 0.25 * (limits.max_alt_m - limits.min_alt_m))
         for sign, edge in ((1.0, limits.min_alt_m + band), (-1.0, limits.max_alt_m - band)):
             layout.linear(where, combination, 2, sign, -sign * (edge - origin_m[2]) / length_m)

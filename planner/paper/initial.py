@@ -8,15 +8,13 @@ corridor asks for is met by taking longer: a piece of no length hovers.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array
 from planner.corridor.corridor import Corridor
 from planner.corridor.limit_check import speed_ratio
 from planner.paper.boundary import shortest_piece_s
 from planner.problem import Problem
 from planner.trajectory import DEGREE
-
-Array = NDArray[np.float64]
 
 
 def initial_durations(problem: Problem, corridor: Corridor, waypoints_m: Array) -> Array:
@@ -48,6 +46,6 @@ def leg_durations(corridor: Corridor, durations_s: Array) -> Array:
 def stretch_legs(corridor: Corridor, durations_s: Array) -> Array:
     """Durations with the pieces of every leg shorter than the tenure slowed by one factor; at rest that is feasible."""
     legs = np.array([piece.leg for piece in corridor.pieces])
-    # A hair more than asked, so that sums over the pieces keep the tenure in spite of rounding.
+    # A tolerance more than asked, so that sums over the pieces keep the tenure in spite of rounding.
     factor = np.maximum(1.0, corridor.min_leg_s * (1.0 + 1e-12) / leg_durations(corridor, durations_s))
     return np.asarray(durations_s * factor[legs])

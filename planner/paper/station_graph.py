@@ -11,18 +11,15 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from planner.arrays import Array, Indices
 from planner.coverage.disc import covering_stations
-from planner.coverage.overlap import MIN_LENS_M, adjacent_pairs, lens_depth_m
+from planner.coverage.overlap import MIN_OVERLAP_M, adjacent_pairs, overlap_depth_m
 from planner.errors import Infeasibility, InfeasibleError, ProblemError
 from planner.infeasibility.diagnosis import broken_pair, diagnose
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def shortest_sequence(problem: Problem) -> tuple[int, ...]:
@@ -87,7 +84,7 @@ def check_sequence(problem: Problem, sequence: Sequence[int]) -> tuple[int, ...]
                 )
             )
     for i, j in pairwise(stations):
-        if float(lens_depth_m(problem, i, j)) < MIN_LENS_M:
+        if float(overlap_depth_m(problem, i, j)) < MIN_OVERLAP_M:
             raise InfeasibleError(broken_pair(problem, i, j))
     return stations
 

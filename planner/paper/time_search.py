@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.arrays import Array, Flags
 from planner.corridor.corridor import Corridor
 from planner.corridor.limit_check import CorridorCheck
 from planner.paper.boundary import control_points
 from planner.paper.initial import leg_durations
-
-Array = NDArray[np.float64]
 
 
 def shortest_durations(
@@ -48,7 +46,7 @@ def _keep_tenure(check: CorridorCheck, corridor: Corridor, boundary: Array, befo
         def at(share: float) -> Array:
             return after_s + share * (before_s - after_s)
 
-        def holds(share: float, mine: NDArray[np.bool_] = mine) -> bool:
+        def holds(share: float, mine: Flags = mine) -> bool:
             return bool(check.holds(control_points(boundary, at(share)), at(share))[mine].all())
 
         # Between the two, feasibility is not monotone; the present durations are the end known to be feasible.

@@ -14,16 +14,15 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from planner.arrays import Array, Flags, Indices
+from planner.coverage.elevation_mask import ElevationMask
 from planner.coverage.overlap import neighbours_within
 from planner.problem import Problem
 from planner.routing.navmesh import NavigationMesh, ShortestPath
 from planner.speed_profile import fastest_time_s
-
-Array = NDArray[np.float64]
 
 # What rounding may have added to a length; taken off, so that the bound stays one.
 ROUNDING = 1e-9
@@ -62,7 +61,7 @@ def lower_bound(problem: Problem, *, max_expansions: int = 1_000_000, upper_leng
     straight = float(np.linalg.norm(offset))
     length, path, exact = straight, None, False
     if problem.station_count <= MAX_MESH_STATIONS:
-        centres, radii = discs_seen_from_above(
+        centres, radii = planar_discs(
             problem, problem.ranges_m if problem.bound_ranges_m is None else problem.bound_ranges_m
         )
         found = _shortest_path(problem, centres, radii, max_expansions, upper_length_m)
@@ -72,31 +71,28 @@ def lower_bound(problem: Problem, *, max_expansions: int = 1_000_000, upper_leng
     return LowerBound(max(_times_s(problem, length, offset)), length, path, exact)
 
 
-def discs_seen_from_above(problem: Problem, ranges_m: Array) -> tuple[Array, Array]:
+def planar_discs(problem: Problem, ranges_m: Array) -> tuple[Array, Array]:
     """Largest cross-section of each station's ball in the band: centres ``(M', 2)``, radii ``(M',)``.
 
     An elevation mask e takes away what lies below its cone: then the widest place is at h + R sin e. Stations that
     do not reach the band are left out.
     """
-    radii = radii_seen_from_above(problem, ranges_m)
+    radii = planar_radii_m(problem, ranges_m)
     reach = radii >= 0
     return problem.station_positions_m[reach, :2], radii[reach]
 
 
-def radii_seen_from_above(problem: Problem, ranges_m: Array) -> Array:
+def planar_radii_m(problem: Problem, ranges_m: Array) -> Array:
     """Radius of each station's largest cross-section in the band ``(M,)``; minus one where it does not reach it."""
     height = problem.station_positions_m[:, 2]
     low, high = problem.limits.min_alt_m, problem.limits.max_alt_m
-    if problem.min_elevation_deg is None:
+    mask = ElevationMask.of(problem)
+    if mask is None:
         widest = np.clip(height, low, high)
         cone = np.full(len(height), inf)
     else:
-        limited = problem.min_elevation_deg >= 0.0
-        elevation = np.radians(np.maximum(problem.min_elevation_deg, 0.0))
-        widest = np.clip(height + ranges_m * np.sin(elevation), low, high)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cone = np.where(elevation > 0, (widest - height) / np.tan(elevation), inf)
-        cone[limited & (widest < height)] = -1.0
+        widest = np.clip(height + ranges_m * np.sin(mask.angle_rad), low, high)
+        cone = np.where(mask.limited & (widest < height), -1.0, mask.reach_m(widest - height))
     square = ranges_m**2 - (widest - height) ** 2
     radii = np.minimum(np.sqrt(np.maximum(square, 0.0)), cone)
     return np.where((square >= 0) & (radii >= 0), radii, -1.0)
@@ -186,9 +182,7 @@ def _centre_path_m(start: Array, end: Array, centres: Array, radii: Array) -> fl
     return float(dijkstra(graph, directed=False, indices=count)[count + 1])
 
 
-def graph_with_ends(
-    count: int, pairs: NDArray[np.int64], weights: Array, ends: Sequence[tuple[NDArray[np.int64], Array]]
-) -> csr_array:
+def graph_with_ends(count: int, pairs: Indices, weights: Array, ends: Sequence[tuple[Indices, Array]]) -> csr_array:
     """An undirected graph over ``count`` stations with edges ``pairs`` ``(E, 2)`` of ``weights`` ``(E,)``.
 
     Each of ``ends``, its stations and what the way to each weighs, is one node more: ``count``, ``count + 1``, ...
@@ -204,9 +198,9 @@ def graph_with_ends(
     return csr_array((positive, (np.concatenate(rows), np.concatenate(columns))), shape=(size, size))
 
 
-def _within_reach(problem: Problem, centres: Array, radii: Array, upper_length_m: float) -> NDArray[np.bool_]:
+def _within_reach(problem: Problem, centres: Array, radii: Array, upper_length_m: float) -> Flags:
     """Discs that a path of ``upper_length_m`` from start to destination can touch."""
     start, end = problem.start_m[:2], problem.destination_m[:2]
     around = np.linalg.norm(centres - start, axis=1) + np.linalg.norm(centres - end, axis=1)
-    near: NDArray[np.bool_] = around - 2.0 * radii <= upper_length_m * (1.0 + 1e-9)
+    near: Flags = around - 2.0 * radii <= upper_length_m * (1.0 + 1e-9)
     return near

@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-Array = NDArray[np.float64]
+from planner.arrays import Array, Indices
+
 # How a portal looks from inside its cell, facing out: right end, left end, id of the corner at either end (-1: the
 # end is inside the union and nothing turns there), the cell behind it, the portal's own number.
 Portal = tuple[complex, complex, int, int, int, int]
@@ -61,7 +62,7 @@ class NavigationMesh:
         self._cells = self._build_cells(facets, power_centres, neighbours)
 
     def _build_cells(
-        self, facets: NDArray[np.int64], power_centres: NDArray[np.complex128], neighbours: NDArray[np.int64]
+        self, facets: Indices, power_centres: NDArray[np.complex128], neighbours: Indices
     ) -> dict[int, list[Portal]]:
         left, right, first, second = _edges(facets, neighbours)
         stations = len(self._radii)
@@ -123,9 +124,7 @@ class NavigationMesh:
         return _Search(self._cells, start, target, last).run(first, max_expansions, max_length_m)
 
 
-def _power_triangulation(
-    centres: Array, radii: Array
-) -> tuple[NDArray[np.int64], NDArray[np.complex128], NDArray[np.int64]]:
+def _power_triangulation(centres: Array, radii: Array) -> tuple[Indices, NDArray[np.complex128], Indices]:
     """Dual of the power diagram: triangles ``(F, 3)``, their power centres ``(F,)``, their neighbours ``(F, 3)``.
 
     It is the lower hull of the points lifted to x^2 + y^2 - r^2. Everything fits in the unit circle; four
@@ -145,7 +144,7 @@ def _power_triangulation(
     return hull.simplices[lower].astype(np.int64), power_centres, number[hull.neighbors[lower]]
 
 
-def _edges(facets: NDArray[np.int64], neighbours: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+def _edges(facets: Indices, neighbours: Indices) -> tuple[Indices, ...]:
     """Every inner edge once: the two triangles beside it and the two vertices on it."""
     triangles = np.repeat(np.arange(len(facets)), 3)
     other = neighbours.ravel()

@@ -10,19 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from planner.arrays import Array, Indices
 from planner.coverage.chord import chords, leaves_after, leg_times_s
 from planner.coverage.disc import covering_stations
 from planner.coverage.overlap import adjacent_pairs
 from planner.problem import Problem
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-# Where on half a chord its portals lie: the outer ones are kept a little inside the lens.
+# Where on half a chord its portals lie: the outer ones are kept a little inside the overlap.
 CHORD_FRACTIONS = {1: (0.0,), 3: (-0.999, 0.0, 0.999), 5: (-0.999, -0.5, 0.0, 0.5, 0.999)}
 # Above this many legs in the graph fewer portals are used.
 MAX_LEGS = 3_000_000
@@ -63,8 +60,8 @@ class PortalGraph:
         """Points of every portal ``(E n + sources + targets, 2)`` and the one or two stations each belongs to."""
         problem = self._problem
         first, second = self._pairs[:, 0], self._pairs[:, 1]
-        lens = chords(problem, first, second)
-        points = lens.points(np.broadcast_to(self._fractions, (len(first), len(self._fractions))))
+        pair_chords = chords(problem, first, second)
+        points = pair_chords.points(np.broadcast_to(self._fractions, (len(first), len(self._fractions))))
         ends = [
             np.broadcast_to(end[:2], (len(stations), 2))
             for end, stations in ((problem.start_m, self._sources), (problem.destination_m, self._targets))
@@ -77,7 +74,7 @@ class PortalGraph:
         lone = np.concatenate([self._sources, self._targets])
         # The two stations of a portal; an end has one, given twice.
         self._stations = np.concatenate([np.repeat(self._pairs, count, axis=0), np.stack([lone, lone], axis=1)])
-        radii = np.stack([lens.radius_first, lens.radius_second], axis=1)
+        radii = np.stack([pair_chords.radius_first, pair_chords.radius_second], axis=1)
         self._radii = np.concatenate([np.repeat(radii, count, axis=0), np.full((len(lone), 2), np.inf)])
         inner = len(first) * count
         self._start_nodes = np.arange(inner, inner + len(self._sources))
@@ -109,7 +106,7 @@ class PortalGraph:
             self._out = self._into = np.full(len(self._length), np.inf)
 
     def _inside_length(self, at: Indices, towards: Indices) -> Array:
-        """How far a leg stays inside the lens it starts (or ends) in: to where it leaves the other station's disc."""
+        """How far a leg stays in the overlap it starts (or ends) in: to where it leaves the other station's disc."""
         side = np.where(self._stations[at, 0] == self._leg_station, 1, 0)
         row = 2 * at + side
         radius = self._radii.ravel()[row]
@@ -121,7 +118,7 @@ class PortalGraph:
             centres[row],
             np.where(np.isinf(radius), 0.0, radius),
         )
-        # An end is in no lens.
+        # An end is in no overlap.
         return np.where(np.isinf(radius), np.inf, inside)
 
     def fastest_through_s(self) -> Array:
@@ -188,7 +185,7 @@ class PortalGraph:
     def _sequence(self, path: list[int]) -> tuple[int, ...]:
         """Stations of the legs between the nodes of ``path``: the one both ends of a leg belong to.
 
-        A leg may bend at a portal where nothing is handed over, to come into the next lens at a better angle.
+        A leg may bend at a portal where nothing is handed over, to come into the next overlap at a better angle.
         """
         stations = self._stations[path]
         here, there = stations[:-1], stations[1:]

@@ -12,24 +12,21 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from planner.arrays import Array, Indices
 from planner.coverage.chord import leg_times_s
 from planner.coverage.disc import covering_stations, disc_radius_m
-from planner.coverage.overlap import MIN_LENS_M, AdjacentPairs, adjacent_pairs, lens_depth_m
+from planner.coverage.overlap import MIN_OVERLAP_M, AdjacentPairs, adjacent_pairs, overlap_depth_m
 from planner.errors import InfeasibleError
 from planner.infeasibility.diagnosis import diagnose
-from planner.problem import Problem, priced
+from planner.problem import Problem
 from planner.routing.bound import LowerBound, graph_with_ends, lower_bound
 from planner.routing.portal_graph import CHORD_FRACTIONS, MAX_LEGS, PortalGraph, Route, legs_of
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 __all__ = [
-    "MIN_LENS_M",
+    "MIN_OVERLAP_M",
     "Route",
     "candidate_routes",
     "geodesic_route",
@@ -57,7 +54,7 @@ def candidate_routes(problem: Problem, count: int = 1, *, bound: LowerBound | No
     Raises `InfeasibleError` when no sequence exists.
     """
     routes: list[Route] = []
-    if not priced(problem):
+    if not problem.handovers_cost_time:
         route = geodesic_route(problem, lower_bound(problem) if bound is None else bound)
         if route is not None:
             routes.append(route)
@@ -77,13 +74,13 @@ def candidate_routes(problem: Problem, count: int = 1, *, bound: LowerBound | No
 
 
 def is_chain(problem: Problem, sequence: Sequence[int]) -> bool:
-    """True when the ends lie in the first and last range and every two neighbours share a lens."""
+    """True when the ends lie in the first and last range and every two neighbours share an overlap."""
     stations = np.asarray(sequence, dtype=np.int64)
     if stations[0] not in covering_stations(problem, problem.start_m):
         return False
     if stations[-1] not in covering_stations(problem, problem.destination_m):
         return False
-    return bool((lens_depth_m(problem, stations[:-1], stations[1:]) >= MIN_LENS_M).all())
+    return bool((overlap_depth_m(problem, stations[:-1], stations[1:]) >= MIN_OVERLAP_M).all())
 
 
 def geodesic_route(problem: Problem, bound: LowerBound) -> Route | None:
@@ -180,12 +177,12 @@ def _fewest(problem: Problem, enter: Array, leave: Array, length: float, slack: 
 
 
 def _onward(problem: Problem, order: Indices, enter: Array, leave: Array) -> Iterator[tuple[int, list[int]]]:
-    """Every station of ``order`` and the later ones that it can hand over to: entered before it is left, in a lens."""
+    """Every station of ``order`` and the later ones that it can hand over to: entered before it is left."""
     for begin in range(0, len(order), _BLOCK):
         block = order[begin : begin + _BLOCK]
         later = np.arange(len(order)) > np.arange(begin, begin + len(block))[:, None]
         first, second = np.nonzero(later & (enter[order] <= leave[block][:, None]))
-        met = lens_depth_m(problem, block[first], order[second]) >= MIN_LENS_M
+        met = overlap_depth_m(problem, block[first], order[second]) >= MIN_OVERLAP_M
         first, second = first[met], second[met]
         edges = np.searchsorted(first, np.arange(len(block) + 1))
         for row, k in enumerate(block.tolist()):
@@ -232,7 +229,7 @@ def _pairs_worth_all_portals(problem: Problem, pairs: Indices) -> Indices:
 
 
 def _stations_worth_a_look(problem: Problem, adjacent: AdjacentPairs) -> Indices:
-    """Stations near the fastest chain from mast to mast, priced by the depth of its lenses; as many as can be managed.
+    """Stations near the fastest chain from mast to mast, priced by its overlaps' depth; as many as can be managed.
 
     A path through portals is shorter than one through masts, but both go the same way.
     """

@@ -1,1 +1,7 @@
-"""ArduCopter's manners."""
+"""The model of ArduCopter."""
+
+from __future__ import annotations
+
+from sitl_fixtures.ardupilot.autopilot import ArduCopter
+
+__all__ = ["ArduCopter"]

@@ -1,4 +1,4 @@
-"""ArduCopter's manners, as recorded from 4.7.
+"""ArduCopter as recorded from 4.7.
 
 What a ground station is most likely to trip over:
 
@@ -17,28 +17,16 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fixtures.ardupilot import setpoints as setpoints
+from sitl_fixtures.ardupilot import setpoints
 from sitl_fixtures.ardupilot.commands import CopterCommands
+from sitl_fixtures.ardupilot.core import CopterCore
 from sitl_fixtures.ardupilot.failsafe import CopterFailsafe
 from sitl_fixtures.ardupilot.flight import CopterFlight
-from sitl_fixtures.ardupilot.modes import (
-    ALT_HOLD,
-    AUTO,
-    BRAKE,
-    GUIDED,
-    LAND,
-    LOITER,
-    MODE_NAMES,
-    POSHOLD,
-    RTL,
-    SMART_RTL,
-    STABILIZE,
-)
+from sitl_fixtures.ardupilot.modes import AUTO, BRAKE, GUIDED, LAND, LOITER, POSHOLD, RTL
 from sitl_fixtures.ardupilot.parameters import ARDUPILOT
-from sitl_fixtures.autopilot import CRITICAL, INFO, WARNING, Command, Personality
-from sitl_fixtures.dynamics.controller import Tracker
+from sitl_fixtures.autopilot.command import Command
+from sitl_fixtures.autopilot.model import CRITICAL, INFO, WARNING, ModelledVehicle
 from sitl_fixtures.dynamics.estimator import OffsetProjection
-from sitl_fixtures.dynamics.guidance import ZERO, Guidance, Limits, Vector
 from sitl_fixtures.mavlink import mission_protocol
 from sitl_fixtures.mavlink.parameters import Parameter
 from sitl_fixtures.mavlink.wire import Message
@@ -46,25 +34,21 @@ from sitl_fixtures.mavlink.wire import Message
 STATISTICS_EVERY_S = 31.0
 
 
-class ArduCopter(Personality):
+class ArduCopter(CopterCore):
     """ArduCopter 4.7."""
 
-    NAME = "ardupilot"
-    AUTOPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    mav_autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     PROJECTION = OffsetProjection
     PARAMETERS = ARDUPILOT
     ORIGIN_AT = 0.48
     MISSIONS = mission_protocol.ARDUPILOT
     BITWISE_PARAMETERS = False
 
-    def __init__(self, vehicle: object) -> None:
-        super().__init__(vehicle)  # type: ignore[arg-type]
-        self.guidance = Guidance(Tracker((1.0, 1.0), (2.0, 4.0), (0.7, 1.0)), Limits())
-        self.mode = int(self.params["INITIAL_MODE"])
-        self.guided = setpoints.GuidedTarget()
-        self.hold_at: Vector = ZERO
+    def __init__(self, vehicle: ModelledVehicle) -> None:
+        super().__init__(vehicle)
         self.runtime_s = 0.0
         self.statistics_due_s = STATISTICS_EVERY_S
+        self._text_id = 0
         self.flight = CopterFlight(self)
         self.failsafe = CopterFailsafe(self)
         self.commands = CopterCommands(self)
@@ -86,9 +70,7 @@ class ArduCopter(Personality):
         tracker = self.guidance.tracker
         tracker.position_gain = (p["PSC_POSXY_P"], p["PSC_POSZ_P"])
         tracker.velocity_gain = (p["PSC_VELXY_P"], p["PSC_VELZ_P"])
-        config = self.vehicle.config
-        tilt = p["ANGLE_MAX"] / 100.0 if config.tilt_deg is None else config.tilt_deg
-        self.vehicle.set_aircraft(tilt_deg=max(10.0, min(80.0, tilt)))
+        self.vehicle.set_aircraft(tilt_deg=self.lean_deg(p["ANGLE_MAX"] / 100.0))
         if p["SIM_WIND_SPD"] > 0.0:
             # SIM_WIND_DIR is where the wind comes from.
             towards = math.radians(p["SIM_WIND_DIR"] + 180.0)
@@ -123,28 +105,14 @@ class ArduCopter(Personality):
         self.vehicle.broadcast_parameter("STAT_RUNTIME")
 
     def on_command(self, command: Command) -> None:
-        """See ``ardupilot_commands``."""
+        """See ``commands.py``."""
         self.commands.handle(command)
 
     def on_heartbeat(self, link: int, message: Message) -> None:
         """An owner's heartbeat counts."""
         self.failsafe.heard(link, message)
 
-    def arm(self) -> None:
-        """Arms: home is set where the vehicle stands."""
-        self.armed = True
-        self.armed_at_s = self.vehicle.time_s
-        self.flight.landing_text_due = False
-        self.set_home_here()
-
     # -- who may speak ------------------------------------------------------------------------------------------------
-
-    def is_owner(self, system_id: int) -> bool:
-        """Whether a system id is in the range of ground stations."""
-        if "SYSID_MYGCS" in self.params:
-            return system_id == int(self.params["SYSID_MYGCS"])
-        low, high = int(self.params["MAV_GCS_SYSID"]), int(self.params["MAV_GCS_SYSID_HI"])
-        return low <= system_id <= max(low, high)
 
     def heard_from(self, link: int, message: Message) -> bool:
         """With MAV_OPTIONS bit 0 (SYSID_ENFORCE), owners and the vehicle's own id only."""
@@ -167,7 +135,9 @@ class ArduCopter(Personality):
     def text(self, text: str, severity: int = INFO, link: int | None = None) -> None:
         """STATUSTEXT, in pieces of 50 characters where it is longer."""
         pieces = [text[i : i + 50] for i in range(0, len(text), 50)] or [""]
-        number = self.vehicle.next_text_id() if len(pieces) > 1 else 0
+        number = 0
+        if len(pieces) > 1:
+            number = self._text_id = self._text_id % 0xFFFF + 1
         for chunk, piece in enumerate(pieces):
             self.vehicle.send(mavlink.MAVLink_statustext_message(severity, piece.encode(), number, chunk), link)
 
@@ -190,7 +160,7 @@ class ArduCopter(Personality):
         else:
             status = mavlink.MAV_STATE_STANDBY
         return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, base, self.mode, status, 3
+            mavlink.MAV_TYPE_QUADROTOR, self.mav_autopilot, base, self.mode, status, 3
         )
 
     def position_target(self) -> Message | None:
@@ -215,11 +185,6 @@ class ArduCopter(Personality):
         """How near a waypoint counts as reached, m."""
         return self.params["WPNAV_RADIUS"] / 100.0
 
-    @property
-    def mode_name(self) -> str:
-        """The mode in words."""
-        return MODE_NAMES.get(self.mode, str(self.mode))
-
     def on_ready(self) -> None:
         """The position is good enough to arm."""
         self.text("EKF3 IMU0 is using GPS")
@@ -232,75 +197,6 @@ class ArduCopter(Personality):
         vehicle.send(vehicle.telemetry.home_position())
         self.text("EKF3 IMU0 origin set")
         self.vehicle.missions.home_was_set()
-
-    def set_home_here(self) -> None:
-        """Home is where the vehicle stands."""
-        self.home = self.vehicle.telemetry.believed_place()
-
-    # -- modes --------------------------------------------------------------------------------------------------------
-
-    def unavailable(self, mode: int) -> str | None:
-        """Why a mode cannot be entered now; None when it can."""
-        if mode not in MODE_NAMES:
-            return f"No such mode {mode}"
-        if self.armed and not self.vehicle.ready and mode not in (STABILIZE, ALT_HOLD, LAND):
-            return f"Mode change to {MODE_NAMES[mode]} failed: requires position"
-        return None
-
-    def change_mode(self, mode: int) -> bool:
-        """Changes the mode; False when there is no such mode or it cannot be entered."""
-        refusal = self.unavailable(mode)
-        if refusal is not None:
-            self.text(refusal, WARNING)
-            return False
-        if mode == self.mode:
-            return True
-        self.mode = mode
-        self._enter()
-        self.vehicle.defer(lambda: self.vehicle.send(self.heartbeat()))
-        return True
-
-    def _enter(self) -> None:
-        self.flight.taking_off = False
-        self.flight.stage, self.flight.stage_s = "", 0.0
-        self.guidance.update(self.position, self.velocity)
-        self.guidance.reset()
-        self.hold_at = self.stopping_point()
-        if self.mode == GUIDED:
-            self.guided.stop(self.vehicle.time_s)
-
-    def stopping_point(self) -> Vector:
-        """Where the vehicle comes to rest when it brakes now."""
-        n, e, d = self.position
-        vn, ve, _ = self.velocity
-        speed = math.hypot(vn, ve)
-        reach = speed / (2.0 * self.guidance.limits.accel_m_s2) + 0.1 if speed > 0.1 else 0.0
-        return n + vn * reach, e + ve * reach, d
-
-    # -- arming and landing -------------------------------------------------------------------------------------------
-
-    def disarm(self) -> None:
-        """Disarms, in the air too."""
-        self.armed = self.failsafe_active = False
-        self.flight.taking_off = False
-        self.flight.landed_for_s = self.flight.idle_s = 0.0
-        self.text("Disarming motors")
-
-    def arming_faults(self) -> list[str]:
-        """Reasons not to arm."""
-        faults = []
-        if self.vehicle.estimator.origin is None:
-            faults += ["Accels inconsistent", "AHRS: waiting for home"]
-        elif not self.vehicle.ready:
-            faults.append("Need Position Estimate")
-        elif not self.vehicle.estimator.healthy:
-            faults.append("EKF attitude is bad")
-        if not self.vehicle.gps_ok:
-            faults.append("GPS 1: Bad fix")
-        faults += self.vehicle.faults.arming_faults()
-        if self.mode in (RTL, LAND, AUTO, SMART_RTL, BRAKE) and not (self.mode == AUTO and self.vehicle.missions.total):
-            faults.append(f"{MODE_NAMES[self.mode]} mode not armable")
-        return faults
 
     # -- failsafes ----------------------------------------------------------------------------------------------------
 
@@ -319,15 +215,13 @@ class ArduCopter(Personality):
         """86: obeyed in GUIDED, the acceleration dropped."""
         if message.target_system not in (0, self.vehicle.config.system_id) or self.mode != GUIDED:
             return
-        vehicle = self.vehicle
         if message.coordinate_frame not in setpoints.GLOBAL_FRAMES:
             self.text(f"Unknown mavlink coordinate frame {message.coordinate_frame}")
-        home_alt = self.home[2] if self.home is not None else vehicle.body.ground_m
-        self._obey(link, message, setpoints.global_int(message, vehicle.estimator, home_alt))
+        self._obey(link, message, setpoints.global_int(message, self.vehicle.estimator, self.home_alt_amsl_m))
 
     def _obey(self, link: int, message: Message, order: setpoints.Order) -> None:
         was_spoilt = self.guided.spoilt
-        self.flight.taking_off = False
+        self.taking_off = False
         self.guided.take(order, self.vehicle.time_s)
         if self.guided.spoilt and not was_spoilt:
             self.text("Internal Errors 0x400", CRITICAL)

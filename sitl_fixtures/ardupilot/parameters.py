@@ -1,8 +1,8 @@
-"""The parameters each simulated autopilot knows: ``(name, value, MAV_PARAM_TYPE)``.
+"""The parameters the simulated ArduCopter knows: ``(name, value, MAV_PARAM_TYPE)``.
 
-Names, types and stock values are those of ArduCopter 4.7 and PX4 1.17, a selection: what a ground station reads before
-a flight, and what the simulation obeys. Where the value differs from the stock one, so that the default vehicle can fly
-fast missions, a comment says so.
+Names, types and stock values are those of ArduCopter 4.7, a selection: what a ground station reads before a flight, and
+what the simulation obeys. Where the value differs from the stock one, so that the default vehicle flies fast missions,
+a comment says so.
 """
 
 from __future__ import annotations

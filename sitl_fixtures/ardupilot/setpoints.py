@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from sitl_fixtures.autopilot.setpoint_fields import turn, wanted_yaw_rad
 from sitl_fixtures.dynamics.estimator import Estimator
 from sitl_fixtures.dynamics.guidance import ZERO, Vector
 from sitl_fixtures.mavlink.wire import Message
@@ -26,7 +27,7 @@ MASKS = {POSITION: 0x0DF8, POSITION_VELOCITY: 0x0C00, VELOCITY: 0x0C07, ACCELERA
 LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9
 AMSL, RELATIVE, TERRAIN = (0, 5), (3, 6), (10, 11)
 GLOBAL_FRAMES = (*AMSL, *RELATIVE, *TERRAIN)
-IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCEL, IGNORE_YAW, IGNORE_YAW_RATE = 0x007, 0x038, 0x1C0, 0x400, 0x800
+IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCEL = 0x007, 0x038, 0x1C0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +42,6 @@ class Order:
 
 
 STOP = Order()
-
-
-def _yaw(message: Message) -> float | None:
-    if message.type_mask & IGNORE_YAW or not math.isfinite(message.yaw):
-        return None
-    return float(message.yaw)
 
 
 def _order(mask: int, position: Vector, velocity: Vector, accel: Vector, yaw_rad: float | None) -> Order:
@@ -67,7 +62,7 @@ def _order(mask: int, position: Vector, velocity: Vector, accel: Vector, yaw_rad
     return Order(ACCELERATION, ZERO, ZERO, accel, yaw_rad) if has_accel else STOP
 
 
-def local(message: Message, here: Vector, yaw_rad: float) -> Order:
+def local(message: Message, here: Vector, heading_rad: float) -> Order:
     """SET_POSITION_TARGET_LOCAL_NED: frames 1, 7, 8 and 9; the last three are relative to where the vehicle is."""
     frame = message.coordinate_frame
     if frame not in (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED):
@@ -76,10 +71,10 @@ def local(message: Message, here: Vector, yaw_rad: float) -> Order:
     velocity: Vector = (message.vx, message.vy, message.vz)
     accel: Vector = (message.afx, message.afy, message.afz)
     if frame in (BODY_NED, BODY_OFFSET_NED):
-        position, velocity, accel = (turn(v, yaw_rad) for v in (position, velocity, accel))
+        position, velocity, accel = (turn(v, heading_rad) for v in (position, velocity, accel))
     if frame != LOCAL_NED:
         position = (position[0] + here[0], position[1] + here[1], position[2] + here[2])
-    return _order(message.type_mask, position, velocity, accel, _yaw(message))
+    return _order(message.type_mask, position, velocity, accel, wanted_yaw_rad(message))
 
 
 def global_int(message: Message, estimate: Estimator, home_alt_m: float) -> Order:
@@ -97,13 +92,7 @@ def global_int(message: Message, estimate: Estimator, home_alt_m: float) -> Orde
         alt = message.alt if frame in AMSL else message.alt + home_alt_m
         north, east = estimate.projection.to_local(math.radians(lat), math.radians(lon))
         position = (north, east, estimate.origin[2] - alt)
-    return _order(mask, position, (message.vx, message.vy, message.vz), ZERO, _yaw(message))
-
-
-def turn(vector: Vector, yaw_rad: float) -> Vector:
-    """Forward, right, down to north, east, down."""
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos, vector[2]
+    return _order(mask, position, (message.vx, message.vy, message.vz), ZERO, wanted_yaw_rad(message))
 
 
 def geodetic(

@@ -52,63 +52,45 @@ class Guidance:
 
     def follow(self, position: Vector, velocity: Vector, accel: Vector, dt: float) -> Vector:
         """Follows a moving target: its velocity and acceleration are fed forward, corrections are bounded."""
-        limits = self.limits
-        self.shaper.horizontal(
-            (position[0], position[1], velocity[0], velocity[1], accel[0], accel[1]),
-            use_position=True,
-            max_correction_m_s=limits.speed_m_s,
-            accel_m_s2=limits.accel_m_s2,
-            jerk_m_s3=limits.jerk_m_s3,
-            brake_m_s2=limits.brake_m_s2,
-            dt=dt,
-        )
+        self._horizontal((position[0], position[1], velocity[0], velocity[1], accel[0], accel[1]), True, dt)
         self._vertical(position[2], velocity[2], accel[2], True, dt)
         return self.track(dt)
 
     def fly(self, velocity: Vector, accel: Vector, dt: float) -> Vector:
         """Flies a velocity."""
-        limits = self.limits
-        self.shaper.horizontal(
-            (0.0, 0.0, velocity[0], velocity[1], accel[0], accel[1]),
-            use_position=False,
-            max_correction_m_s=limits.speed_m_s,
-            accel_m_s2=limits.accel_m_s2,
-            jerk_m_s3=limits.jerk_m_s3,
-            brake_m_s2=limits.brake_m_s2,
-            dt=dt,
-        )
+        self._horizontal((0.0, 0.0, velocity[0], velocity[1], accel[0], accel[1]), False, dt)
         self._vertical(0.0, velocity[2], accel[2], False, dt)
         return self.track(dt)
 
     def go_to(self, position: Vector, dt: float, *, speed_m_s: float | None = None) -> Vector:
         """Flies to a place and stays there."""
+        self._horizontal((position[0], position[1], 0.0, 0.0, 0.0, 0.0), True, dt, speed_m_s)
+        self._vertical(position[2], 0.0, 0.0, True, dt)
+        return self.track(dt)
+
+    def descend(self, north_m: float, east_m: float, rate_m_s: float, dt: float) -> Vector:
+        """Holds a place and sinks (negative: climbs) at a rate."""
+        self._horizontal((north_m, east_m, 0.0, 0.0, 0.0, 0.0), True, dt)
+        self._vertical(0.0, rate_m_s, 0.0, False, dt)
+        return self.track(dt)
+
+    def _horizontal(
+        self,
+        target: tuple[float, float, float, float, float, float],
+        use_position: bool,
+        dt: float,
+        speed_m_s: float | None = None,
+    ) -> None:
         limits = self.limits
         self.shaper.horizontal(
-            (position[0], position[1], 0.0, 0.0, 0.0, 0.0),
-            use_position=True,
+            target,
+            use_position=use_position,
             max_correction_m_s=limits.speed_m_s if speed_m_s is None else speed_m_s,
             accel_m_s2=limits.accel_m_s2,
             jerk_m_s3=limits.jerk_m_s3,
             brake_m_s2=limits.brake_m_s2,
             dt=dt,
         )
-        self._vertical(position[2], 0.0, 0.0, True, dt)
-        return self.track(dt)
-
-    def descend(self, north_m: float, east_m: float, rate_m_s: float, dt: float) -> Vector:
-        """Holds a place and sinks (negative: climbs) at a rate."""
-        limits = self.limits
-        self.shaper.horizontal(
-            (north_m, east_m, 0.0, 0.0, 0.0, 0.0),
-            use_position=True,
-            max_correction_m_s=limits.speed_m_s,
-            accel_m_s2=limits.accel_m_s2,
-            jerk_m_s3=limits.jerk_m_s3,
-            brake_m_s2=limits.brake_m_s2,
-            dt=dt,
-        )
-        self._vertical(0.0, rate_m_s, 0.0, False, dt)
-        return self.track(dt)
 
     def _vertical(self, down_m: float, rate: float, accel: float, use_position: bool, dt: float) -> None:
         limits = self.limits
@@ -162,3 +144,12 @@ class Guidance:
     def off_m(self, position: Vector) -> float:
         """Horizontal distance from a place, m."""
         return math.hypot(position[0] - self.n, position[1] - self.e)
+
+    def stopping_place(self, reaction_s: float) -> tuple[float, float]:
+        """Where (north, east; m) the aircraft comes to rest when it brakes now, ``reaction_s`` later.
+
+        Slower than ``reaction_s`` read as m/s it counts as standing.
+        """
+        speed = math.hypot(self.vn, self.ve)
+        reach_s = speed / (2.0 * self.limits.accel_m_s2) + reaction_s if speed > reaction_s else 0.0
+        return self.n + self.vn * reach_s, self.e + self.ve * reach_s

@@ -28,15 +28,6 @@ def radii_m(lat_rad: float) -> tuple[float, float]:
     return prime_vertical * (1.0 - WGS84_E2) / w2, prime_vertical
 
 
-def top_speed_m_s(tilt_rad: float, drag_linear_1_s: float, drag_quadratic_1_m: float) -> float:
-    """Speed through the air at which drag takes the whole horizontal thrust of a lean angle, m/s."""
-    push = GRAVITY_M_S2 * math.tan(tilt_rad)
-    if drag_quadratic_1_m <= 0.0:
-        return push / drag_linear_1_s if drag_linear_1_s > 0.0 else math.inf
-    root = math.sqrt(drag_linear_1_s * drag_linear_1_s + 4.0 * drag_quadratic_1_m * push)
-    return (root - drag_linear_1_s) / (2.0 * drag_quadratic_1_m)
-
-
 class PointMass:
     """The aircraft's true motion. All attributes may be read; ``step`` moves it on.
 
@@ -93,9 +84,19 @@ class PointMass:
         return math.degrees(self.lon_rad)
 
     @property
+    def above_ground_m(self) -> float:
+        """Height above the ground, m."""
+        return self.height_m - self.ground_m
+
+    @property
     def speed_m_s(self) -> float:
         """Speed over the ground, m/s."""
         return math.hypot(self.vn, self.ve)
+
+    def cap_speed(self, top_speed_m_s: float) -> None:
+        """Sets the drag, quadratic alone, so that level flight at the largest lean tops out at a speed."""
+        self.drag_linear_1_s = 0.0
+        self.drag_quadratic_1_m = GRAVITY_M_S2 * math.tan(self.tilt_rad) / top_speed_m_s**2
 
     def step(self, cmd_n: float, cmd_e: float, cmd_d: float, dt: float, rotors: bool) -> None:
         """Moves on by ``dt`` seconds with a commanded acceleration (north, east, down, m/s^2).
@@ -103,20 +104,37 @@ class PointMass:
         ``rotors`` false means no thrust: the aircraft falls, or stands.
         """
         if rotors:
-            limit = GRAVITY_M_S2 * math.tan(self.tilt_rad) * self.thrust_factor
-            horizontal = math.sqrt(cmd_n * cmd_n + cmd_e * cmd_e)
-            if horizontal > limit:
-                scale = limit / horizontal
-                cmd_n *= scale
-                cmd_e *= scale
-            up = self.max_up_m_s2 * self.thrust_factor
-            if cmd_d < -up:
-                cmd_d = -up
-            elif cmd_d > self.max_down_m_s2:
-                cmd_d = self.max_down_m_s2
+            cmd_n, cmd_e, cmd_d = self._within_limits(cmd_n, cmd_e, cmd_d)
         else:
-            cmd_n = cmd_e = 0.0
-            cmd_d = GRAVITY_M_S2
+            cmd_n, cmd_e, cmd_d = 0.0, 0.0, GRAVITY_M_S2
+        self._turn_thrust(cmd_n, cmd_e, cmd_d, dt)
+        if self.on_ground:
+            if not rotors or self.ad > -0.2:
+                self.vn = self.ve = self.vd = 0.0
+                self.an = self.ae = 0.0
+                # Thrust that builds up stays; the ground takes what presses down.
+                self.ad = min(self.ad, 0.0)
+                return
+            self.on_ground = False
+        self._move(dt)
+
+    def _within_limits(self, cmd_n: float, cmd_e: float, cmd_d: float) -> tuple[float, float, float]:
+        """A commanded acceleration as far as lean and thrust allow it."""
+        limit = GRAVITY_M_S2 * math.tan(self.tilt_rad) * self.thrust_factor
+        horizontal = math.sqrt(cmd_n * cmd_n + cmd_e * cmd_e)
+        if horizontal > limit:
+            scale = limit / horizontal
+            cmd_n *= scale
+            cmd_e *= scale
+        up = self.max_up_m_s2 * self.thrust_factor
+        if cmd_d < -up:
+            cmd_d = -up
+        elif cmd_d > self.max_down_m_s2:
+            cmd_d = self.max_down_m_s2
+        return cmd_n, cmd_e, cmd_d
+
+    def _turn_thrust(self, cmd_n: float, cmd_e: float, cmd_d: float, dt: float) -> None:
+        """The thrust acceleration follows the command through the attitude loop's lag, its change jerk-limited."""
         if self._decay_for != (dt, self.lag_s):
             self._decay_for = (dt, self.lag_s)
             self._decay = 1.0 - math.exp(-dt / self.lag_s)
@@ -138,15 +156,8 @@ class PointMass:
         self.ae += de
         self.ad += dd
 
-        if self.on_ground:
-            if not rotors or self.ad > -0.2:
-                self.vn = self.ve = self.vd = 0.0
-                self.an = self.ae = 0.0
-                # Thrust that builds up stays; the ground takes what presses down.
-                self.ad = min(self.ad, 0.0)
-                return
-            self.on_ground = False
-
+    def _move(self, dt: float) -> None:
+        """Velocity and place in the air, and the touch-down."""
         vn, ve, vd = self.vn, self.ve, self.vd
         wn, we = vn - self.wind_n_m_s, ve - self.wind_e_m_s
         drag = self.drag_linear_1_s + self.drag_quadratic_1_m * math.sqrt(wn * wn + we * we + vd * vd)
@@ -157,9 +168,7 @@ class PointMass:
         half = 0.5 * dt
         sin_lat = math.sin(self.lat_rad)
         cos_lat = math.sqrt(1.0 - sin_lat * sin_lat)
-        w2 = 1.0 - WGS84_E2 * sin_lat * sin_lat
-        prime_vertical = WGS84_A_M / math.sqrt(w2)
-        meridian = prime_vertical * (1.0 - WGS84_E2) / w2
+        meridian, prime_vertical = radii_m(self.lat_rad)
         self.lat_rad += (vn + new_n) * half / (meridian + self.height_m)
         self.lon_rad += (ve + new_e) * half / ((prime_vertical + self.height_m) * cos_lat)
         if self.lon_rad > math.pi:

@@ -177,8 +177,8 @@ def skip_sequence(acting: Acting, link: int, frame: bytes) -> Iterable[bytes]:
 
 def unknown_beside(acting: Acting, link: int, frame: bytes) -> Iterable[bytes]:
     """A frame of a message id nobody knows goes beside a share of the frames."""
-    stranger = b"\xfd\x04\x00\x00\x00\x01\x01\x00\x00\x7f\x01\x02\x03\x04\x00\x00"
-    return (frame, stranger) if acting.chance(acting.value) else (frame,)
+    unknown = b"\xfd\x04\x00\x00\x00\x01\x01\x00\x00\x7f\x01\x02\x03\x04\x00\x00"
+    return (frame, unknown) if acting.chance(acting.value) else (frame,)
 
 
 def impersonate(system_id: int, share: float = 1.0) -> Frames:
@@ -268,7 +268,7 @@ def answer(result: int, *, only_first: bool = False) -> Incoming:
         if message.get_type() not in COMMANDS or acting.value not in (0.0, float(message.command)):
             return (message,)
         vehicle = acting.vehicle
-        if not vehicle.personality.addressed(message) or not vehicle.personality.heard_from(link, message):
+        if not vehicle.autopilot.addressed(message) or not vehicle.autopilot.heard_from(link, message):
             return (message,)
         if only_first:
             seen = acting.memory["seen"] = acting.memory.get("seen", 0) + 1
@@ -288,7 +288,7 @@ def answer(result: int, *, only_first: bool = False) -> Incoming:
 def in_progress(acting: Acting, link: int, message: Message) -> Iterable[Message]:
     """Commands are answered IN_PROGRESS and carried out after the argument, s."""
     vehicle = acting.vehicle
-    if message.get_type() not in COMMANDS or not vehicle.personality.addressed(message):
+    if message.get_type() not in COMMANDS or not vehicle.autopilot.addressed(message):
         return (message,)
     ack = mavlink.MAVLink_command_ack_message(
         message.command, mavlink.MAV_RESULT_IN_PROGRESS, 50, 0, message.get_srcSystem(), message.get_srcComponent()
@@ -311,8 +311,8 @@ def answer_without_setting(acting: Acting, link: int, message: Message) -> Itera
         return (message,)
     vehicle = acting.vehicle
     parameter = vehicle.parameters.find(message.param_id, -1)
-    if parameter is not None and vehicle.personality.heard_from(link, message):
-        vehicle.send_parameter(parameter, link, vehicle.personality.named_index(parameter))
+    if parameter is not None and vehicle.autopilot.heard_from(link, message):
+        vehicle.send_parameter(parameter, link, vehicle.autopilot.named_index(parameter))
     return ()
 
 
@@ -338,15 +338,14 @@ def slow_vehicle(acting: Acting) -> None:
     """30 degrees of lean and the drag that tops out at the argument, m/s."""
     body = acting.vehicle.body
     body.tilt_rad = math.radians(30.0)
-    body.drag_linear_1_s = 0.0
-    body.drag_quadratic_1_m = 9.80665 * math.tan(body.tilt_rad) / acting.value**2
+    body.cap_speed(acting.value)
 
 
 def force_mode(kind: str) -> Hook:
     """The vehicle changes its mode by itself."""
 
     def begin(acting: Acting) -> None:
-        acting.vehicle.personality.force_mode(kind)
+        acting.vehicle.autopilot.force_mode(kind)
 
     return begin
 

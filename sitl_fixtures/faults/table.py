@@ -1,6 +1,6 @@
 """The faults of link, telemetry, commands, parameters and missions by name, and the whole table.
 
-Each row says what goes wrong; ``faults.py`` says when, ``fault_actions.py`` how.
+Each row says what goes wrong and when; ``actions.py`` says how, ``injection.py`` lets it act.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ ACCEPTED = 0
 
 
 def _flood(acting: Acting) -> None:
-    acting.vehicle.personality.text("Vibration compensation ON")
+    acting.vehicle.autopilot.text("Vibration compensation ON")
 
 
 def _revert(acting: Acting) -> None:
     acting.vehicle.parameters.restore()
-    acting.vehicle.personality.refresh()
+    acting.vehicle.autopilot.refresh()
 
 
 def _text_rubbish(acting: Acting) -> None:

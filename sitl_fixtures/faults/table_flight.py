@@ -9,10 +9,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fixtures.faults import actions as do
 from sitl_fixtures.faults.fault import Acting, Fault, Hook
 from sitl_fixtures.faults.foreign_station import (
-    stranger_beats,
-    stranger_commands_return,
-    stranger_sets_parameter,
-    stranger_streams,
+    foreign_station_beats,
+    foreign_station_commands_return,
+    foreign_station_sets_parameter,
+    foreign_station_streams,
 )
 
 
@@ -39,10 +39,10 @@ def _shift_origin(acting: Acting) -> None:
 
 
 def _shift_home(acting: Acting) -> None:
-    personality = acting.vehicle.personality
-    if personality.home is not None:
-        lat, lon, alt = personality.home
-        personality.home = (lat + math.degrees(acting.value / 6371000.0), lon, alt)
+    autopilot = acting.vehicle.autopilot
+    if autopilot.home is not None:
+        lat, lon, alt = autopilot.home
+        autopilot.home = (lat + math.degrees(acting.value / 6371000.0), lon, alt)
         acting.vehicle.send(acting.vehicle.telemetry.home_position())
 
 
@@ -58,7 +58,7 @@ def _estimate(healthy: bool) -> tuple[Hook, Hook]:
 
 def _gps(acting: Acting) -> None:
     acting.vehicle.gps_ok = False
-    acting.vehicle.personality.text("GPS glitch", mavlink.MAV_SEVERITY_CRITICAL)
+    acting.vehicle.autopilot.text("GPS glitch", mavlink.MAV_SEVERITY_CRITICAL)
 
 
 def _gps_lost_long(acting: Acting, dt: float) -> None:
@@ -108,16 +108,8 @@ def _drag(acting: Acting) -> None:
 
 
 def _fall(acting: Acting, dt: float) -> None:
-    acting.vehicle.personality.rotors = False
+    acting.vehicle.autopilot.rotors = False
     acting.vehicle.rotors_stopped = True
-
-
-def _no_climb(acting: Acting) -> None:
-    acting.vehicle.body.max_up_m_s2 = 0.05
-
-
-def _no_climb_end(acting: Acting) -> None:
-    acting.vehicle.body.max_up_m_s2 = 9.0
 
 
 def _hang(acting: Acting) -> None:
@@ -137,10 +129,11 @@ def _reboot(acting: Acting) -> None:
 
 
 def _disarm(acting: Acting) -> None:
-    acting.vehicle.personality.armed = False
+    acting.vehicle.autopilot.armed = False
 
 
 FROZEN, THAWED = _estimate(False)
+NO_CLIMB, CLIMB_AGAIN = do.set_body(max_up_m_s2=0.05)
 
 FLIGHT_FAULTS = [
     # Set-points and modes
@@ -177,26 +170,32 @@ FLIGHT_FAULTS = [
     Fault("pilot-takes-over", "flight", "a pilot's switch changes the mode", start="T10", begin=do.force_mode("pilot")),
     Fault("disarm-in-flight", "flight", "disarms in the air", start="T10", begin=_disarm),
     Fault(
-        "stranger-streams",
+        "foreign-station-streams",
         "flight",
         "station 99 streams a target M north",
         "METRES",
         20.0,
         "T10",
         5.0,
-        step=stranger_streams,
+        step=foreign_station_streams,
     ),
-    Fault("stranger-returns", "flight", "station 99 commands a return", start="T10", begin=stranger_commands_return),
     Fault(
-        "stranger-parameter",
+        "foreign-station-returns",
+        "flight",
+        "station 99 commands a return",
+        start="T10",
+        begin=foreign_station_commands_return,
+    ),
+    Fault(
+        "foreign-station-parameter",
         "flight",
         "station 99 sets a parameter",
         "NAME=VALUE",
         "MAV_GCS_SYSID=99",
         "T10",
-        begin=stranger_sets_parameter,
+        begin=foreign_station_sets_parameter,
     ),
-    Fault("stranger-heartbeat", "flight", "station 99 sends heartbeats", step=stranger_beats),
+    Fault("foreign-station-heartbeat", "flight", "station 99 sends heartbeats", step=foreign_station_beats),
     # The vehicle
     Fault("reboot", "vehicle", "the autopilot reboots", start="T10", begin=_reboot),
     Fault(
@@ -259,6 +258,6 @@ FLIGHT_FAULTS = [
     Fault(
         "thrust-loss", "vehicle", "a share of the thrust is left", "SHARE", 0.6, "T10", begin=_thrust, end=_thrust_end
     ),
-    Fault("cannot-climb", "vehicle", "no upward thrust beyond hover", begin=_no_climb, end=_no_climb_end),
+    Fault("cannot-climb", "vehicle", "no upward thrust beyond hover", begin=NO_CLIMB, end=CLIMB_AGAIN),
     Fault("crash", "vehicle", "the rotors stop", start="T10", step=_fall),
 ]

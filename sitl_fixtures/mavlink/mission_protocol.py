@@ -22,14 +22,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from sitl_fixtures.mavlink.parameters import ParameterSet
 from sitl_fixtures.mavlink.wire import Message
-
-if TYPE_CHECKING:
-    from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle_protocol import VehicleProtocol
 
 MISSION, FENCE, RALLY = 0, 1, 2
 ACCEPTED, ERROR, UNSUPPORTED, NO_SPACE = 0, 1, 3, 4
@@ -75,7 +73,7 @@ class Upload:
 
 
 @dataclass(frozen=True, slots=True)
-class Manners:
+class TransferRules:
     """What differs between the autopilots."""
 
     item_zero_is_home: bool
@@ -85,16 +83,17 @@ class Manners:
     capacity: dict[int, int]
 
 
-ARDUPILOT = Manners(True, True, 1.0, 8.0, {MISSION: 650, FENCE: 650, RALLY: 106})
-PX4 = Manners(False, False, 0.255, 5.0, {MISSION: 2000, FENCE: 500, RALLY: 32})
+ARDUPILOT = TransferRules(True, True, 1.0, 8.0, {MISSION: 650, FENCE: 650, RALLY: 106})
+PX4 = TransferRules(False, False, 0.255, 5.0, {MISSION: 2000, FENCE: 500, RALLY: 32})
 
 
 class Missions:
     """The stored plans, the upload under way, and the message handlers."""
 
-    def __init__(self, vehicle: SimulatedAutopilot, manners: Manners) -> None:
+    def __init__(self, vehicle: VehicleProtocol, rules: TransferRules, parameters: ParameterSet) -> None:
         self._vehicle = vehicle
-        self.manners = manners
+        self._parameters = parameters
+        self.rules = rules
         self.plans: dict[int, list[Item]] = {MISSION: [], FENCE: [], RALLY: []}
         self.current = 0
         self._upload: Upload | None = None
@@ -121,6 +120,10 @@ class Missions:
         """Whether a transfer to the vehicle is under way."""
         return self._upload is not None
 
+    def current_message(self) -> Message:
+        """MISSION_CURRENT."""
+        return mavlink.MAVLink_mission_current_message(self.current, self.total, 0, 0)
+
     # -- sending ------------------------------------------------------------------------------------------------------
 
     def _ack(self, link: int, message: Message, result: int, kind: int) -> None:
@@ -132,7 +135,7 @@ class Missions:
     def _ask(self, upload: Upload) -> None:
         make = (
             mavlink.MAVLink_mission_request_message
-            if self.manners.at_once
+            if self.rules.at_once
             else mavlink.MAVLink_mission_request_int_message
         )
         self._vehicle.send(make(upload.system_id, upload.component_id, len(upload.received), upload.kind), upload.link)
@@ -155,17 +158,17 @@ class Missions:
             message.get_srcComponent(),
         )
         if busy is not None and not same:
-            self._ack(link, message, DENIED if self.manners.at_once else ERROR, kind)
+            self._ack(link, message, DENIED if self.rules.at_once else ERROR, kind)
             return
-        if message.count > self.manners.capacity[kind]:
+        if message.count > self.rules.capacity[kind]:
             self._ack(link, message, NO_SPACE, kind)
-            if self.manners.at_once:
-                self._vehicle.personality.text(
-                    f"Only {self.manners.capacity[kind]} items are supported", mavlink.MAV_SEVERITY_WARNING
+            if self.rules.at_once:
+                self._vehicle.autopilot.text(
+                    f"Only {self.rules.capacity[kind]} items are supported", mavlink.MAV_SEVERITY_WARNING
                 )
             return
         self._download = None
-        if self.manners.at_once:
+        if self.rules.at_once:
             del self.plans[kind][message.count :]
         if message.count == 0:
             self._upload = None
@@ -180,11 +183,11 @@ class Missions:
     def _on_item(self, link: int, message: Message) -> None:
         if not self._ours(message):
             return
-        upload, px4 = self._upload, not self.manners.at_once
+        upload, px4 = self._upload, not self.rules.at_once
         if upload is None or upload.kind != message.mission_type:
             self._ack(link, message, ERROR, message.mission_type)
             if px4:
-                self._vehicle.personality.text("IGN MISSION_ITEM: No transfer", mavlink.MAV_SEVERITY_CRITICAL)
+                self._vehicle.autopilot.text("IGN MISSION_ITEM: No transfer", mavlink.MAV_SEVERITY_CRITICAL)
             return
         if (upload.system_id, upload.component_id) != (message.get_srcSystem(), message.get_srcComponent()):
             return
@@ -193,39 +196,39 @@ class Missions:
             if not px4:
                 self._ack(link, message, INVALID_SEQUENCE, upload.kind)
             return
-        item = _item_of(message, ardupilot=self.manners.at_once)
-        fault = self._fault(upload.kind, item)
-        if fault is not None:
+        item = _item_of(message, ardupilot=self.rules.at_once)
+        refusal = self._refusal(upload.kind, item)
+        if refusal is not None:
             self._upload = None
-            self._ack(link, message, fault, upload.kind)
+            self._ack(link, message, refusal, upload.kind)
             if px4:
                 self._vehicle.after(
                     0.04,
-                    lambda: self._vehicle.personality.text(
+                    lambda: self._vehicle.autopilot.text(
                         "IGN MISSION_ITEM: Invalid item", mavlink.MAV_SEVERITY_CRITICAL
                     ),
                 )
             return
         upload.received.append(item)
-        if self.manners.at_once:
+        if self.rules.at_once:
             self._store_at_once(upload.kind, message.seq, item)
         if len(upload.received) < upload.count:
             self._ask(upload)
             return
         self._upload = None
-        if not self.manners.at_once:
+        if not self.rules.at_once:
             self.plans[upload.kind] = upload.received
         self._ack(link, message, ACCEPTED, upload.kind)
-        if self.manners.at_once and upload.kind == MISSION:
-            self._vehicle.personality.text("Flight plan received", link=link)
+        if self.rules.at_once and upload.kind == MISSION:
+            self._vehicle.autopilot.text("Flight plan received", link=link)
         if upload.kind == MISSION:
             self.current = 0
         self._changed(upload.kind)
 
-    def _fault(self, kind: int, item: Item) -> int | None:
+    def _refusal(self, kind: int, item: Item) -> int | None:
         if item.command not in KNOWN_COMMANDS[kind]:
             return UNSUPPORTED
-        if self.manners.at_once:
+        if self.rules.at_once:
             if abs(item.x) > 900_000_000:
                 return INVALID_PARAM5_X
             if abs(item.y) > 1_800_000_000:
@@ -243,7 +246,7 @@ class Missions:
 
     def _changed(self, kind: int) -> None:
         name = {MISSION: "MIS_TOTAL", RALLY: "RALLY_TOTAL"}.get(kind)
-        parameters = self._vehicle.parameters
+        parameters = self._parameters
         if name is None or name not in parameters or parameters[name] == len(self.plans[kind]):
             return
         parameters.put(name, len(self.plans[kind]))
@@ -254,14 +257,14 @@ class Missions:
         upload = self._upload
         if upload is None:
             return
-        if now_s - upload.heard_s >= self.manners.give_up_s:
+        if now_s - upload.heard_s >= self.rules.give_up_s:
             self._upload = None
-            if self.manners.at_once:
+            if self.rules.at_once:
                 self._ack_to(upload.link, upload.system_id, upload.component_id, CANCELLED, upload.kind)
-                self._vehicle.personality.text("Mission upload timeout", mavlink.MAV_SEVERITY_WARNING, upload.link)
+                self._vehicle.autopilot.text("Mission upload timeout", mavlink.MAV_SEVERITY_WARNING, upload.link)
             else:
-                self._vehicle.personality.text("Operation timeout", mavlink.MAV_SEVERITY_CRITICAL)
-        elif now_s - upload.asked_s >= self.manners.ask_again_s:
+                self._vehicle.autopilot.text("Operation timeout", mavlink.MAV_SEVERITY_CRITICAL)
+        elif now_s - upload.asked_s >= self.rules.ask_again_s:
             self._ask(upload)
 
     # -- download and the rest ----------------------------------------------------------------------------------------
@@ -270,7 +273,7 @@ class Missions:
         if not self._ours(message) or message.mission_type not in self.plans:
             return
         if self._upload is not None:
-            self._ack(link, message, DENIED if self.manners.at_once else ERROR, message.mission_type)
+            self._ack(link, message, DENIED if self.rules.at_once else ERROR, message.mission_type)
             return
         self._download = (link, message.mission_type)
         self._send_count(link, message)
@@ -285,14 +288,14 @@ class Missions:
     def _listed(self, kind: int) -> list[Item]:
         """The plan as it is given out: an ArduPilot mission starts with home."""
         plan = self.plans[kind]
-        home = self._vehicle.personality.home
-        if kind != MISSION or not self.manners.item_zero_is_home or home is None or not plan:
+        home = self._vehicle.autopilot.home
+        if kind != MISSION or not self.rules.item_zero_is_home or home is None or not plan:
             return plan
         return [Item(16, 0, (0.0, 0.0, 0.0, 0.0), round(home[0] * 1e7), round(home[1] * 1e7), home[2]), *plan[1:]]
 
     def home_was_set(self) -> None:
         """ArduPilot keeps home as item 0: a mission that was empty has one item from then on."""
-        if self.manners.item_zero_is_home and not self.plans[MISSION]:
+        if self.rules.item_zero_is_home and not self.plans[MISSION]:
             self.plans[MISSION] = [Item(16, 0, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0)]
             self._changed(MISSION)
 
@@ -300,7 +303,7 @@ class Missions:
         if not self._ours(message) or message.mission_type not in self.plans:
             return
         plan = self._listed(message.mission_type)
-        if not self.manners.at_once and (self._download is None or message.seq >= len(plan)):
+        if not self.rules.at_once and (self._download is None or message.seq >= len(plan)):
             return
         if message.seq >= len(plan):
             # The size is told once more, so that the station learns of it.
@@ -317,7 +320,7 @@ class Missions:
                 message.seq,
                 item.frame,
                 item.command,
-                item.current if not self.manners.at_once else int(message.seq == self.current and message.seq > 0),
+                item.current if not self.rules.at_once else int(message.seq == self.current and message.seq > 0),
                 item.autocontinue,
                 *item.params,
                 item.x if as_int else item.x / 1e7,
@@ -332,7 +335,7 @@ class Missions:
         if not self._ours(message):
             return
         self._download = None
-        if not self.manners.at_once and self._upload is not None and message.type == CANCELLED:
+        if not self.rules.at_once and self._upload is not None and message.type == CANCELLED:
             self._upload = None
 
     def _on_clear(self, link: int, message: Message) -> None:
@@ -340,7 +343,7 @@ class Missions:
             return
         kinds = list(self.plans) if message.mission_type == 255 else [message.mission_type]
         if self._upload is not None:
-            self._ack(link, message, DENIED if self.manners.at_once else ERROR, message.mission_type)
+            self._ack(link, message, DENIED if self.rules.at_once else ERROR, message.mission_type)
             return
         for kind in kinds:
             if kind in self.plans:
@@ -352,7 +355,7 @@ class Missions:
     def _on_set_current(self, link: int, message: Message) -> None:
         if self._ours(message) and message.seq < self.total:
             self.current = message.seq
-            self._vehicle.send(self._vehicle.telemetry.mission_current())
+            self._vehicle.send(self.current_message())
 
 
 def _item_of(message: Message, *, ardupilot: bool) -> Item:

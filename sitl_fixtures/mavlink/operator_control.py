@@ -18,14 +18,11 @@ A in control                   B requests                           FAILED to B,
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fixtures.mavlink.wire import Message
-
-if TYPE_CHECKING:
-    from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle_protocol import VehicleProtocol
 
 REQUEST_OPERATOR_CONTROL = 32100
 CONTROL_STATUS_ID, CONTROL_STATUS_CRC_EXTRA = 512, 21
@@ -54,7 +51,7 @@ GUARDED = {
 class OperatorControl:
     """Who is in control, as the vehicle keeps it. System id 0 is nobody."""
 
-    def __init__(self, vehicle: SimulatedAutopilot) -> None:
+    def __init__(self, vehicle: VehicleProtocol) -> None:
         self._vehicle = vehicle
         self.owner = 0
         self.takeover_until_s = 0.0
@@ -102,7 +99,7 @@ class OperatorControl:
             if name == "HEARTBEAT":
                 self._owner_heard_s = self._vehicle.time_s
         if name in ("COMMAND_LONG", "COMMAND_INT"):
-            if not self._vehicle.personality.addressed(message):
+            if not self._vehicle.autopilot.addressed(message):
                 return True
             if message.command == REQUEST_OPERATOR_CONTROL:
                 self._request(link, message)

@@ -1,4 +1,4 @@
-"""The parameter store, with each autopilot's manners.
+"""The parameter store, with what each autopilot does in its own way.
 
 ArduPilot: every value travels as a float; a set of any type is taken and rounded to the stored type; an answer by name
 carries index 65535. PX4: an INT32 travels as its bits inside the float; a set of the wrong type is dropped in silence;

@@ -10,14 +10,12 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from sitl_fixtures.mavlink.mission_protocol import Missions
 from sitl_fixtures.mavlink.wire import Message
-
-if TYPE_CHECKING:
-    from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle_protocol import VehicleProtocol
 
 DEFAULT_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
@@ -83,13 +81,13 @@ SENSORS = (
 class Telemetry:
     """Builders of every message that can be asked for, and a schedule a link."""
 
-    def __init__(self, vehicle: SimulatedAutopilot, links: int) -> None:
+    def __init__(self, vehicle: VehicleProtocol, missions: Missions, links: int) -> None:
         self._vehicle = vehicle
         self.builders: dict[int, Callable[[], Message | None]] = {
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: lambda: vehicle.personality.heartbeat(),
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: lambda: vehicle.autopilot.heartbeat(),
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self.local_position,
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self.global_position,
-            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: lambda: vehicle.personality.position_target(),
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: lambda: vehicle.autopilot.position_target(),
             mavlink.MAVLINK_MSG_ID_ATTITUDE: self.attitude,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: self.hud,
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self.sys_status,
@@ -97,14 +95,14 @@ class Telemetry:
             mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self.system_time,
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self.gps_raw,
             mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self.battery_status,
-            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self.mission_current,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: missions.current_message,
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self.global_origin,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self.attitude_quaternion,
             mavlink.MAVLINK_MSG_ID_ALTITUDE: self.altitude,
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: lambda: vehicle.personality.version(),
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: lambda: vehicle.autopilot.version(),
         }
-        if vehicle.config.autopilot == "ardupilot":
+        if vehicle.autopilot.mav_autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
             self.builders[mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT] = self.ekf_report
         else:
             self.builders[mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS] = self.estimator_status
@@ -135,6 +133,12 @@ class Telemetry:
                 self._enqueue(link, message_id, self._vehicle.time_s)
                 self.next_due_s = self._queue[0][0]
         return True
+
+    def request_interval(self, link: int, message_id: int, interval_us: float) -> bool:
+        """SET_MESSAGE_INTERVAL: 0 the default rate, negative stops; False for a message unknown here."""
+        if interval_us == 0.0:
+            return self.set_interval(link, message_id, self.default_interval_s.get(message_id))
+        return self.set_interval(link, message_id, interval_us / 1e6 if interval_us > 0.0 else None)
 
     def interval_s(self, link: int, message_id: int) -> float | None:
         """How often a link gets a message; None: never."""
@@ -204,7 +208,7 @@ class Telemetry:
         return math.degrees(lat), math.degrees(lon), estimate.origin[2] - estimate.d
 
     def _heading_cdeg(self) -> int:
-        return round(math.degrees(self._vehicle.personality.yaw_rad) % 360.0 * 100.0) % 36000
+        return round(math.degrees(self._vehicle.autopilot.yaw_rad) % 360.0 * 100.0) % 36000
 
     def global_position(self) -> Message | None:
         """GLOBAL_POSITION_INT: the estimate, with the height above home."""
@@ -218,7 +222,7 @@ class Telemetry:
             round(lat * 1e7),
             round(lon * 1e7),
             round(alt * 1000.0),
-            round(vehicle.personality.height_above_home_m * 1000.0),
+            round(vehicle.autopilot.height_above_home_m * 1000.0),
             _int16(body.vn * 100.0),
             _int16(body.ve * 100.0),
             _int16(body.vd * 100.0),
@@ -227,13 +231,13 @@ class Telemetry:
 
     def attitude(self) -> Message:
         """ATTITUDE from the thrust acceleration."""
-        yaw = self._vehicle.personality.yaw_rad
+        yaw = self._vehicle.autopilot.yaw_rad
         roll, pitch = self._vehicle.body.attitude_rad(yaw)
         return mavlink.MAVLink_attitude_message(self._boot_ms, roll, pitch, yaw, 0.0, 0.0, 0.0)
 
     def attitude_quaternion(self) -> Message:
         """ATTITUDE_QUATERNION: the same as ATTITUDE."""
-        yaw = self._vehicle.personality.yaw_rad
+        yaw = self._vehicle.autopilot.yaw_rad
         roll, pitch = self._vehicle.body.attitude_rad(yaw)
         cr, sr = math.cos(roll / 2), math.sin(roll / 2)
         cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
@@ -252,7 +256,7 @@ class Telemetry:
     def altitude(self) -> Message:
         """ALTITUDE: AMSL, local and above home, m."""
         alt = self.believed_place()[2]
-        relative = self._vehicle.personality.height_above_home_m
+        relative = self._vehicle.autopilot.height_above_home_m
         return mavlink.MAVLink_altitude_message(
             self._usec, alt, alt, -self._vehicle.estimator.d, relative, alt, math.nan
         )
@@ -277,7 +281,7 @@ class Telemetry:
         body = self._vehicle.body
         air = math.hypot(body.vn - body.wind_n_m_s, body.ve - body.wind_e_m_s)
         heading = self._heading_cdeg() // 100
-        throttle = 0 if not self._vehicle.personality.rotors else 50
+        throttle = 0 if not self._vehicle.autopilot.rotors else 50
         return mavlink.MAVLink_vfr_hud_message(air, body.speed_m_s, heading, throttle, body.height_m, -body.vd)
 
     def sys_status(self) -> Message:
@@ -325,8 +329,8 @@ class Telemetry:
 
     def extended_state(self) -> Message:
         """EXTENDED_SYS_STATE: on the ground, taking off, in the air, landing."""
-        vtol = 3 if self._vehicle.personality.AUTOPILOT == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA else 0
-        return mavlink.MAVLink_extended_sys_state_message(vtol, self._vehicle.personality.landed_state)
+        vtol = 3 if self._vehicle.autopilot.mav_autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA else 0
+        return mavlink.MAVLink_extended_sys_state_message(vtol, self._vehicle.autopilot.landed_state)
 
     def system_time(self) -> Message:
         """SYSTEM_TIME: GPS time and the vehicle's own clock."""
@@ -353,10 +357,10 @@ class Telemetry:
 
     def home_position(self) -> Message | None:
         """HOME_POSITION; None while there is no home."""
-        home = self._vehicle.personality.home
+        home = self._vehicle.autopilot.home
         if home is None:
             return None
-        north, east, down = self._vehicle.personality.home_local()
+        north, east, down = self._vehicle.autopilot.home_local()
         return mavlink.MAVLink_home_position_message(
             round(home[0] * 1e7),
             round(home[1] * 1e7),
@@ -382,11 +386,6 @@ class Telemetry:
             round(origin[2] * 1000.0),
             self._usec,
         )
-
-    def mission_current(self) -> Message:
-        """MISSION_CURRENT."""
-        missions = self._vehicle.missions
-        return mavlink.MAVLink_mission_current_message(missions.current, missions.total, 0, 0)
 
 
 def _int16(value: float) -> int:

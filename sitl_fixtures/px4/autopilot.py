@@ -1,4 +1,4 @@
-"""PX4's manners, as recorded from 1.17.
+"""PX4 as recorded from 1.17.
 
 What a ground station is most likely to trip over:
 
@@ -17,44 +17,33 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fixtures.autopilot import CRITICAL, INFO, Command, Personality
-from sitl_fixtures.dynamics.controller import Tracker
+from sitl_fixtures.autopilot.command import Command
+from sitl_fixtures.autopilot.model import CRITICAL, INFO, ModelledVehicle
 from sitl_fixtures.dynamics.estimator import SphereProjection
-from sitl_fixtures.dynamics.guidance import ZERO, Guidance, Limits, Vector
 from sitl_fixtures.mavlink import mission_protocol
 from sitl_fixtures.mavlink.parameters import Parameter
 from sitl_fixtures.mavlink.wire import Message
-from sitl_fixtures.px4 import setpoints as setpoints
+from sitl_fixtures.px4 import setpoints
 from sitl_fixtures.px4.commands import Px4Commands
+from sitl_fixtures.px4.core import Px4Core
 from sitl_fixtures.px4.failsafe import Px4Failsafe
-from sitl_fixtures.px4.flight import IDLE, Px4Flight
-from sitl_fixtures.px4.modes import HOLD, LAND, MISSION, MODE_NAMES, OFFBOARD, POSCTL, RTL, Mode
+from sitl_fixtures.px4.flight import Px4Flight
+from sitl_fixtures.px4.modes import HOLD, LAND, MODE_NAMES, OFFBOARD, POSCTL, RTL
 from sitl_fixtures.px4.parameters import PX4
 
 
-class Px4(Personality):
+class Px4(Px4Core):
     """PX4 1.17 multicopter."""
 
-    NAME = "px4"
-    AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
+    mav_autopilot = mavlink.MAV_AUTOPILOT_PX4
     PROJECTION = SphereProjection
     PARAMETERS = PX4
     ORIGIN_AT = 0.2
     MISSIONS = mission_protocol.PX4
     BITWISE_PARAMETERS = True
 
-    def __init__(self, vehicle: object) -> None:
-        super().__init__(vehicle)  # type: ignore[arg-type]
-        self.guidance = Guidance(Tracker((0.95, 1.0), (1.8, 4.0), (0.4, 2.0)), Limits())
-        self.intended: Mode = HOLD
-        self.mode: Mode = HOLD
-        self.mode_after_disarm: Mode = HOLD
-        self.target: setpoints.Target | None = None
-        self.stream_s = -math.inf
-        self.hold_at: Vector = ZERO
-        self.takeoff_alt_amsl_m = 0.0
-        self.echoed: tuple[Vector, Vector, Vector] = IDLE
-        self.stream_timeout_s = 1.03
+    def __init__(self, vehicle: ModelledVehicle) -> None:
+        super().__init__(vehicle)
         self.texts = 0
         self.flight = Px4Flight(self)
         self.failsafe = Px4Failsafe(self)
@@ -82,10 +71,8 @@ class Px4(Personality):
         tracker.position_gain = (p["MPC_XY_P"], p["MPC_Z_P"])
         tracker.velocity_gain = (p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"])
         tracker.integral_gain = (p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"])
-        config = self.vehicle.config
-        tilt = p["MPC_TILTMAX_AIR"] if config.tilt_deg is None else config.tilt_deg
         self.vehicle.set_aircraft(
-            tilt_deg=max(10.0, min(80.0, tilt)), drag_linear_1_s=p["SIH_KDV"] / max(0.1, p["SIH_MASS"])
+            tilt_deg=self.lean_deg(p["MPC_TILTMAX_AIR"]), drag_linear_1_s=p["SIH_KDV"] / max(0.1, p["SIH_MASS"])
         )
 
     def named_index(self, parameter: Parameter) -> int:
@@ -108,20 +95,12 @@ class Px4(Personality):
         self.failsafe.slow_check(dt)
 
     def on_command(self, command: Command) -> None:
-        """See ``px4_commands``."""
+        """See ``commands.py``."""
         self.commands.handle(command)
 
     def on_heartbeat(self, link: int, message: Message) -> None:
         """Any ground station's heartbeat counts."""
         self.failsafe.heard(link, message)
-
-    def arm(self) -> None:
-        """Arms: home is set where the vehicle stands."""
-        self.armed = True
-        self.armed_at_s = self.vehicle.time_s
-        self.flight.flown = False
-        self.flight.landed_for_s = 0.0
-        self.home = self.vehicle.telemetry.believed_place()
 
     # -- who may speak ------------------------------------------------------------------------------------------------
 
@@ -164,12 +143,12 @@ class Px4(Personality):
             status = mavlink.MAV_STATE_CRITICAL
         elif self.armed:
             status = mavlink.MAV_STATE_ACTIVE
-        elif self.arming_faults():
+        elif self.arming_refusals():
             status = mavlink.MAV_STATE_UNINIT
         else:
             status = mavlink.MAV_STATE_STANDBY
         return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base, main << 16 | sub << 24, status, 3
+            mavlink.MAV_TYPE_QUADROTOR, self.mav_autopilot, base, main << 16 | sub << 24, status, 3
         )
 
     def position_target(self) -> Message | None:
@@ -210,86 +189,16 @@ class Px4(Personality):
         """How near a waypoint counts as reached, m."""
         return self.params["NAV_ACC_RAD"]
 
-    @property
-    def mode_name(self) -> str:
-        """The mode in words."""
-        return MODE_NAMES.get(self.mode, str(self.mode))
-
     def on_ready(self) -> None:
         """Health checks pass from now on."""
 
     def on_origin(self) -> None:
         """Home is set, the origin told."""
         vehicle = self.vehicle
-        self.home = vehicle.telemetry.believed_place()
+        self.set_home_here()
         vehicle.send(vehicle.telemetry.global_origin())
         vehicle.send(vehicle.telemetry.home_position())
         vehicle.telemetry.set_default_interval(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 2.0)
-
-    # -- modes --------------------------------------------------------------------------------------------------------
-
-    @property
-    def stream_fresh(self) -> bool:
-        """Whether accepted set-points keep coming."""
-        return self.vehicle.time_s - self.stream_s <= self.stream_timeout_s
-
-    def unavailable(self, mode: Mode) -> str | None:
-        """Why a mode cannot be entered now; None when it can."""
-        if mode == OFFBOARD and self.armed and not self.vehicle.body.on_ground and not self.stream_fresh:
-            return "Switching to Offboard is currently not available"
-        if mode == MISSION and not self.vehicle.missions.total:
-            return "Switching to Mission is currently not available"
-        return None
-
-    def intend(self, mode: Mode) -> bool:
-        """A mode commanded by a person; False when it cannot be entered and is not."""
-        refusal = self.unavailable(mode)
-        if refusal is not None:
-            self.text(refusal, CRITICAL)
-            return False
-        self.intended = mode
-        if not self.armed:
-            self.mode_after_disarm = mode
-        self.failsafe_active = False
-        self.go(mode)
-        return True
-
-    def go(self, mode: Mode) -> None:
-        """Takes a mode up."""
-        if mode == self.mode:
-            return
-        self.mode = mode
-        self.flight.stage = ""
-        guidance = self.guidance
-        guidance.update(self.position, self.velocity)
-        guidance.reset()
-        vn, ve, vd = self.velocity
-        n, e, d = self.position
-        speed = math.hypot(vn, ve)
-        reach = speed / (2.0 * guidance.limits.accel_m_s2) + 0.3 if speed > 0.3 else 0.0
-        self.hold_at = (n + vn * reach, e + ve * reach, d + 0.2 * vd)
-
-    def disarm(self, text: str) -> None:
-        """Disarms, in the air too; the mode is then the one last commanded while disarmed."""
-        self.armed = self.failsafe_active = False
-        self.flight.flown = False
-        self.flight.landed_for_s = 0.0
-        self.text(text)
-        self.params.put("COM_FLIGHT_UUID", self.params["COM_FLIGHT_UUID"] + 1)
-        self.vehicle.broadcast_parameter("COM_FLIGHT_UUID")
-        self.intended = self.mode_after_disarm
-        self.go(self.intended)
-
-    # -- arming -------------------------------------------------------------------------------------------------------
-
-    def arming_faults(self) -> list[str]:
-        """Reasons not to arm."""
-        faults = []
-        if not self.vehicle.ready or not self.vehicle.estimator.healthy or not self.vehicle.gps_ok:
-            faults.append("Resolve system health failures first")
-        if self.mode == OFFBOARD and not self.stream_fresh:
-            faults.append("Resolve system health failures first")
-        return faults + self.vehicle.faults.arming_faults()
 
     # -- failsafes ----------------------------------------------------------------------------------------------------
 
@@ -313,9 +222,8 @@ class Px4(Personality):
     def on_setpoint_global(self, link: int, message: Message) -> None:
         """86: frames 5, 6 and 11."""
         if self._for_setpoint(message):
-            home_alt = self.home[2] if self.home is not None else self.vehicle.body.ground_m
             try:
-                self._take(link, message, setpoints.global_int(message, self.vehicle.estimator, home_alt))
+                self._take(link, message, setpoints.global_int(message, self.vehicle.estimator, self.home_alt_amsl_m))
             except setpoints.RefusedError as refusal:
                 self.text(str(refusal), CRITICAL)
 

@@ -6,16 +6,12 @@ the cause is gone.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fixtures.autopilot import CRITICAL, INFO
+from sitl_fixtures.autopilot.model import CRITICAL, INFO
 from sitl_fixtures.mavlink.wire import Message
+from sitl_fixtures.px4.core import Px4Core
 from sitl_fixtures.px4.modes import LAND, NAV_DLL_ACTION, OFFBOARD, OFFBOARD_LOSS_ACTION, RTL, Mode
-
-if TYPE_CHECKING:
-    from sitl_fixtures.px4.autopilot import Px4
 
 HOME_MOVES_EVERY_S = 2.0
 
@@ -23,8 +19,8 @@ HOME_MOVES_EVERY_S = 2.0
 class Px4Failsafe:
     """Watches, and changes the mode."""
 
-    def __init__(self, personality: Px4) -> None:
-        self._p = personality
+    def __init__(self, autopilot: Px4Core) -> None:
+        self._autopilot = autopilot
         self.gcs_heard_s: float | None = None
         self.gcs_lost = False
         self.gcs_timeout_s = 10.0
@@ -35,69 +31,74 @@ class Px4Failsafe:
 
     def heard(self, link: int, message: Message) -> None:
         """Any ground station's heartbeat counts."""
+        autopilot = self._autopilot
         if message.type != mavlink.MAV_TYPE_GCS:
             return
         if self.gcs_lost:
             self.gcs_lost = False
-            self._p.text("Connection to ground station lost", INFO)
-            self._p.text("GCS connection regained", INFO)
-        self.gcs_heard_s = self._p.vehicle.time_s
+            autopilot.text("Connection to ground station lost", INFO)
+            autopilot.text("GCS connection regained", INFO)
+        self.gcs_heard_s = autopilot.vehicle.time_s
 
     def check(self, now: float) -> None:
         """Looks at every cause; changes the mode when one appears, and back when it goes."""
+        autopilot = self._autopilot
         if self.gcs_heard_s is not None and now - self.gcs_heard_s > self.gcs_timeout_s:
             self.gcs_lost = True
-        if not self._p.armed:
+        if not autopilot.armed:
             return
         wanted = self._failsafe_mode()
         if wanted is not None:
-            if not self._p.failsafe_active or wanted != self.acting_mode:
-                self._p.failsafe_active = True
+            if not autopilot.failsafe_active or wanted != self.acting_mode:
+                autopilot.failsafe_active = True
                 self.acting_mode = wanted
-                self._p.text("Failsafe activated", CRITICAL)
-                self._p.vehicle.after(0.05, lambda: self._act(wanted))
-        elif self._p.failsafe_active:
-            self._p.failsafe_active = False
+                autopilot.text("Failsafe activated", CRITICAL)
+                autopilot.vehicle.after(0.05, lambda: self._act(wanted))
+        elif autopilot.failsafe_active:
+            autopilot.failsafe_active = False
             # Back to what was commanded last: OFFBOARD resumes unasked when its stream does.
-            self._p.go(self._p.intended)
+            autopilot.go(autopilot.intended)
 
     def _act(self, mode: Mode) -> None:
         """Takes the failsafe's mode, unless it has cleared meanwhile."""
-        if self._p.failsafe_active:
-            self._p.go(mode)
+        if self._autopilot.failsafe_active:
+            self._autopilot.go(mode)
 
     def _failsafe_mode(self) -> Mode | None:
-        if not self._p.vehicle.estimator.healthy:
+        autopilot = self._autopilot
+        if not autopilot.vehicle.estimator.healthy:
             return LAND
         if self.battery_mode is not None:
             return self.battery_mode
-        if self._p.intended == OFFBOARD and not self._p.stream_fresh and not self._p.vehicle.body.on_ground:
-            return OFFBOARD_LOSS_ACTION.get(int(self._p.params["COM_OBL_RC_ACT"]), RTL)
-        if self.gcs_lost and not self._p.vehicle.body.on_ground:
-            return NAV_DLL_ACTION.get(int(self._p.params["NAV_DLL_ACT"]))
+        if autopilot.intended == OFFBOARD and not autopilot.stream_fresh and not autopilot.vehicle.body.on_ground:
+            return OFFBOARD_LOSS_ACTION.get(int(autopilot.params["COM_OBL_RC_ACT"]), RTL)
+        if self.gcs_lost and not autopilot.vehicle.body.on_ground:
+            return NAV_DLL_ACTION.get(int(autopilot.params["NAV_DLL_ACT"]))
         return None
 
     def _battery_failsafe_mode(self) -> Mode | None:
         """COM_LOW_BAT_ACT: 0 warns, 2 lands when critical, 3 returns when critical and lands in an emergency."""
-        action, left = int(self._p.params["COM_LOW_BAT_ACT"]), self._p.vehicle.battery.remaining
-        if left < self._p.params["BAT_LOW_THR"] and not self.battery_warned:
+        autopilot = self._autopilot
+        action, left = int(autopilot.params["COM_LOW_BAT_ACT"]), autopilot.vehicle.battery.remaining
+        if left < autopilot.params["BAT_LOW_THR"] and not self.battery_warned:
             self.battery_warned = True
-            self._p.text("Low battery level! Return advised", CRITICAL)
+            autopilot.text("Low battery level! Return advised", CRITICAL)
         if action == 3:
-            if left < self._p.params["BAT_EMERGEN_THR"]:
+            if left < autopilot.params["BAT_EMERGEN_THR"]:
                 return LAND
-            return RTL if left < self._p.params["BAT_CRIT_THR"] else None
-        return LAND if action == 2 and left < self._p.params["BAT_CRIT_THR"] else None
+            return RTL if left < autopilot.params["BAT_CRIT_THR"] else None
+        return LAND if action == 2 and left < autopilot.params["BAT_CRIT_THR"] else None
 
     def _move_home(self, now: float) -> None:
         """The home altitude is corrected every now and then in flight, by up to about a metre."""
-        if self._p.home is None or not self._p.armed or self._p.vehicle.body.on_ground or now < self.home_moves_s:
+        autopilot = self._autopilot
+        if autopilot.home is None or not autopilot.armed or autopilot.vehicle.body.on_ground or now < self.home_moves_s:
             return
         self.home_moves_s = now + HOME_MOVES_EVERY_S
-        drift = max(-1.5, min(1.5, self._p.vehicle.random.gauss(0.0, 0.6)))
-        self._p.home = (self._p.home[0], self._p.home[1], self._p.vehicle.body.ground_m + drift)
+        drift = max(-1.5, min(1.5, autopilot.vehicle.random.gauss(0.0, 0.6)))
+        autopilot.home = (autopilot.home[0], autopilot.home[1], autopilot.vehicle.body.ground_m + drift)
 
     def slow_check(self, dt: float) -> None:
         """The battery's failsafe, and the home altitude."""
         self.battery_mode = self._battery_failsafe_mode()
-        self._move_home(self._p.vehicle.time_s)
+        self._move_home(self._autopilot.vehicle.time_s)

@@ -1,4 +1,9 @@
-"""PX4's parameters and their stock values."""
+"""The parameters the simulated PX4 knows: ``(name, value, MAV_PARAM_TYPE)``.
+
+Names, types and stock values are those of PX4 1.17, a selection: what a ground station reads before a flight, and what
+the simulation obeys. Where the value differs from the stock one, so that the default vehicle can fly fast missions, a
+comment says so.
+"""
 
 from __future__ import annotations
 

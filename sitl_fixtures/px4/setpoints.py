@@ -12,13 +12,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from sitl_fixtures.autopilot.setpoint_fields import turn, wanted_yaw_rad
 from sitl_fixtures.dynamics.estimator import Estimator
 from sitl_fixtures.dynamics.guidance import Vector
 from sitl_fixtures.mavlink.wire import Message
 
 LOCAL_NED, BODY_NED = 1, 8
 GLOBAL_INT, GLOBAL_RELATIVE_ALT_INT, GLOBAL_TERRAIN_ALT_INT = 5, 6, 11
-FORCE, IGNORE_YAW = 0x200, 0x400
+FORCE = 0x200
 NAN: Vector = (math.nan, math.nan, math.nan)
 
 
@@ -77,15 +78,20 @@ def _target(name: str, message: Message, position: Vector, velocity: Vector, acc
         raise RefusedError(f"{name} force not supported")
     if absent(position) and absent(velocity) and absent(accel):
         raise RefusedError(f"{name} invalid")
-    yaw = None if message.type_mask & IGNORE_YAW or not math.isfinite(message.yaw) else float(message.yaw)
     parts = tuple(None if absent(part) else part for part in (position, velocity, accel))
     complete = all(part is None or not any(map(math.isnan, part)) for part in parts)
     return Target(
-        position, velocity, accel, yaw, _flyable(position, velocity, accel), (parts[0], parts[1], parts[2]), complete
+        position,
+        velocity,
+        accel,
+        wanted_yaw_rad(message),
+        _flyable(position, velocity, accel),
+        (parts[0], parts[1], parts[2]),
+        complete,
     )
 
 
-def local(message: Message, yaw_rad: float) -> Target:
+def local(message: Message, heading_rad: float) -> Target:
     """SET_POSITION_TARGET_LOCAL_NED.
 
     Raises:
@@ -97,7 +103,7 @@ def local(message: Message, yaw_rad: float) -> Target:
     accel = _pick(mask, 6, (message.afx, message.afy, message.afz))
     if frame == BODY_NED:
         position = NAN
-        velocity, accel = _turn(velocity, yaw_rad), _turn(accel, yaw_rad)
+        velocity, accel = turn(velocity, heading_rad), turn(accel, heading_rad)
     elif frame != LOCAL_NED:
         raise RefusedError(f"{name} coordinate frame {frame} unsupported")
     return _target(name, message, position, velocity, accel)
@@ -128,8 +134,3 @@ def global_int(message: Message, estimate: Estimator, home_alt_m: float) -> Targ
     velocity = _pick(mask, 3, (message.vx, message.vy, message.vz))
     accel = _pick(mask, 6, (message.afx, message.afy, message.afz))
     return _target(name, message, position, velocity, accel)
-
-
-def _turn(vector: Vector, yaw_rad: float) -> Vector:
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos, vector[2]

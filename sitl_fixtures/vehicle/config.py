@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sitl_fixtures.ardupilot.autopilot import ArduCopter
-from sitl_fixtures.autopilot import Personality
+from sitl_fixtures.autopilot.model import AutopilotModel
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.px4.autopilot import Px4
 
-PERSONALITIES: dict[str, type[Personality]] = {"px4": Px4, "ardupilot": ArduCopter}
+AUTOPILOT_MODELS: dict[str, type[AutopilotModel]] = {"px4": Px4, "ardupilot": ArduCopter}
 DEFAULT_HOMES: dict[str, tuple[float, float, float]] = {
     "ardupilot": (-35.363262, 149.165237, 584.09),
     "px4": (47.397743, 8.545594, 488.6),
@@ -27,7 +27,7 @@ class SimulatorConfig:
         system_id: the vehicle's own.
         speedup: factor reported in SIM_SPEEDUP; the clock itself is the caller's.
         parameters: ``NAME=VALUE`` overrides.
-        faults: fault specifications, see ``faults.py``.
+        faults: fault specifications, see ``faults/injection.py``.
         seed: for everything random.
         ready_after_s: vehicle seconds from boot to a usable position.
         tick_s: step of the simulation, s.
@@ -58,7 +58,7 @@ class SimulatorConfig:
     setpoint_log: int = 200_000
 
     def __post_init__(self) -> None:
-        if self.autopilot not in PERSONALITIES:
+        if self.autopilot not in AUTOPILOT_MODELS:
             raise ConfigurationError("--autopilot", self.autopilot, "px4 or ardupilot", "choose one of them")
         if self.firmware and (self.autopilot, self.firmware) != ("ardupilot", "4.6"):
             raise ConfigurationError("--firmware", self.firmware, "4.6, with --autopilot ardupilot", "leave it out")

@@ -14,19 +14,19 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fixtures.ardupilot.parameters import ARDUPILOT_4_6
-from sitl_fixtures.autopilot import Command, Personality
+from sitl_fixtures.autopilot.command import Command
+from sitl_fixtures.autopilot.model import AutopilotModel
 from sitl_fixtures.dynamics.battery import Battery
 from sitl_fixtures.dynamics.estimator import Estimator
 from sitl_fixtures.dynamics.point_mass import GRAVITY_M_S2, PointMass
-from sitl_fixtures.faults.fault import FaultSet
+from sitl_fixtures.faults.injection import FaultSet
 from sitl_fixtures.mavlink.mission_protocol import Missions
 from sitl_fixtures.mavlink.operator_control import OperatorControl
 from sitl_fixtures.mavlink.parameters import Parameter, ParameterSet
 from sitl_fixtures.mavlink.signing import Signing
 from sitl_fixtures.mavlink.telemetry import Telemetry
 from sitl_fixtures.mavlink.wire import Message, Packer, Port
-from sitl_fixtures.vehicle.config import DEFAULT_HOMES, PERSONALITIES, SimulatorConfig
-from sitl_fixtures.vehicle.mission_flight import Route
+from sitl_fixtures.vehicle.config import AUTOPILOT_MODELS, DEFAULT_HOMES, SimulatorConfig
 
 SLOW_EVERY_S = 0.1
 REBOOT_SILENCE_S = 1.0
@@ -37,7 +37,7 @@ class SimulatedAutopilot:
 
     Attributes for tests:
         body: the true state (``lat_deg``, ``lon_deg``, ``height_m``, ``vn``, ...).
-        personality: mode and arming (``mode_name``, ``armed``).
+        autopilot: mode and arming (``mode_name``, ``armed``).
         accepted_setpoints: the last set-points obeyed, as ``(now_s, link, system_id, message name, target)``; all of
             them go to ``on_setpoint`` as well.
     """
@@ -60,7 +60,7 @@ class SimulatedAutopilot:
         self.ports = [Port(index) for index in range(config.links)]
         self._packer = Packer(config.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         self.home_place = config.home or DEFAULT_HOMES[config.autopilot]
-        kind = PERSONALITIES[config.autopilot]
+        kind = AUTOPILOT_MODELS[config.autopilot]
         table = ARDUPILOT_4_6 if config.firmware else kind.PARAMETERS
         self.parameters = ParameterSet(table, bitwise=kind.BITWISE_PARAMETERS)
         self.parameters.put("SIM_SPEEDUP", config.speedup)
@@ -73,31 +73,29 @@ class SimulatedAutopilot:
         self.faults = FaultSet(config.faults, self)
         self._boot(kind)
 
-    def _boot(self, kind: type[Personality]) -> None:
+    def _boot(self, kind: type[AutopilotModel]) -> None:
         self.time_s = 0.0
         self.ready = False
         self.gps_ok = True
         self.estimator = Estimator(kind.PROJECTION)
         self.signing = Signing()
-        self.missions = Missions(self, kind.MISSIONS)
-        self.route = Route(self)
+        self.missions = Missions(self, kind.MISSIONS, self.parameters)
         self.operator_control = OperatorControl(self) if self.config.speaks_operator_control else None
-        self.personality = kind(self)
-        self.telemetry = Telemetry(self, self.config.links)
-        self.personality.refresh()
+        self.autopilot = kind(self)
+        self.telemetry = Telemetry(self, self.missions, self.config.links)
+        self.autopilot.refresh()
         self._timers: list[tuple[float, int, Callable[[], None]]] = []
         self._timer_count = 0
         self._slow_s = 0.0
         self._silent_until_s = 0.0
         self._deferred: list[Callable[[], None]] = []
-        self._text_id = 0
         self._handlers: dict[str, Callable[[int, Message], None]] = {
-            "HEARTBEAT": lambda link, m: self.personality.on_heartbeat(link, m),
+            "HEARTBEAT": lambda link, m: self.autopilot.on_heartbeat(link, m),
             "COMMAND_LONG": self._on_command,
             "COMMAND_INT": self._on_command,
-            "SET_MODE": lambda link, m: self.personality.set_mode(link, m),
-            "SET_POSITION_TARGET_LOCAL_NED": lambda link, m: self.personality.on_setpoint_local(link, m),
-            "SET_POSITION_TARGET_GLOBAL_INT": lambda link, m: self.personality.on_setpoint_global(link, m),
+            "SET_MODE": lambda link, m: self.autopilot.set_mode(link, m),
+            "SET_POSITION_TARGET_LOCAL_NED": lambda link, m: self.autopilot.on_setpoint_local(link, m),
+            "SET_POSITION_TARGET_GLOBAL_INT": lambda link, m: self.autopilot.on_setpoint_global(link, m),
             "PARAM_REQUEST_READ": self._on_param_read,
             "PARAM_REQUEST_LIST": self._on_param_list,
             "PARAM_SET": self._on_param_set,
@@ -114,7 +112,7 @@ class SimulatedAutopilot:
         self.faults.rebooted()
         if self._epoch is not None:
             self._epoch += self.time_s
-        self._boot(PERSONALITIES[self.config.autopilot])
+        self._boot(AUTOPILOT_MODELS[self.config.autopilot])
         self._silent_until_s = REBOOT_SILENCE_S
 
     # -- the four calls -----------------------------------------------------------------------------------------------
@@ -158,22 +156,22 @@ class SimulatedAutopilot:
     def _tick(self, dt: float) -> None:
         self.time_s += dt
         now = self.time_s
-        body, personality = self.body, self.personality
+        body, autopilot = self.body, self.autopilot
         self.faults.tick(now, dt)
         if self.hung or now < self._silent_until_s:
-            body.step(body.an, body.ae, body.ad, dt, personality.rotors and not self.rotors_stopped)
+            body.step(body.an, body.ae, body.ad, dt, autopilot.rotors and not self.rotors_stopped)
             return
         if not self.ready and self.gps_ok:
             self._start_up(now)
-        personality.tick(dt)
-        north, east, down = personality.command
-        body.step(north, east, down, dt, personality.rotors and not self.rotors_stopped)
+        autopilot.tick(dt)
+        north, east, down = autopilot.command
+        body.step(north, east, down, dt, autopilot.rotors and not self.rotors_stopped)
         self.estimator.update(body.lat_rad, body.lon_rad, body.height_m)
         if now >= self._slow_s:
             self._slow_s = now + SLOW_EVERY_S
             thrust = math.sqrt(body.an * body.an + body.ae * body.ae + (GRAVITY_M_S2 - body.ad) ** 2)
-            self.battery.step(SLOW_EVERY_S, personality.rotors, thrust, body.speed_m_s)
-            personality.slow_tick(SLOW_EVERY_S)
+            self.battery.step(SLOW_EVERY_S, autopilot.rotors, thrust, body.speed_m_s)
+            autopilot.slow_tick(SLOW_EVERY_S)
             if self.operator_control is not None:
                 self.operator_control.tick(now)
         while self._timers and self._timers[0][0] <= now:
@@ -195,38 +193,30 @@ class SimulatedAutopilot:
         while self._deferred:
             self._deferred.pop(0)()
 
-    def next_text_id(self) -> int:
-        """A number for a text that goes out in pieces."""
-        self._text_id = self._text_id % 0xFFFF + 1
-        return self._text_id
-
-    def set_interval(self, link: int, message_id: int, interval_us: float) -> bool:
-        """SET_MESSAGE_INTERVAL: 0 the default rate, negative stops; False for a message unknown here."""
-        if interval_us == 0.0:
-            return self.telemetry.set_interval(link, message_id, self.telemetry.default_interval_s.get(message_id))
-        return self.telemetry.set_interval(link, message_id, interval_us / 1e6 if interval_us > 0.0 else None)
-
     def set_aircraft(self, *, tilt_deg: float, drag_linear_1_s: float | None = None) -> None:
         """Lean and drag of the aircraft, from parameters and options."""
         body, config = self.body, self.config
         body.tilt_rad = math.radians(tilt_deg)
         if config.max_speed_m_s is not None:
-            body.drag_linear_1_s = 0.0
-            body.drag_quadratic_1_m = GRAVITY_M_S2 * math.tan(body.tilt_rad) / config.max_speed_m_s**2
+            body.cap_speed(config.max_speed_m_s)
         elif drag_linear_1_s is not None:
             body.drag_linear_1_s, body.drag_quadratic_1_m = drag_linear_1_s, 0.0
 
+    def injected_arming_refusals(self) -> list[str]:
+        """Reasons not to arm that injected faults give."""
+        return self.faults.arming_refusals()
+
     def _start_up(self, now: float) -> None:
         """First the origin, later a position good enough to arm."""
-        body, personality = self.body, self.personality
+        body, autopilot = self.body, self.autopilot
         after = self.config.ready_after_s
-        if self.estimator.origin is None and now >= after * personality.ORIGIN_AT:
+        if self.estimator.origin is None and now >= after * autopilot.ORIGIN_AT:
             self.estimator.set_origin(body.lat_rad, body.lon_rad, body.height_m)
             self.estimator.update(body.lat_rad, body.lon_rad, body.height_m)
-            personality.on_origin()
+            autopilot.on_origin()
         if now >= after and self.estimator.origin is not None:
             self.ready = True
-            personality.on_ready()
+            autopilot.on_ready()
 
     def after(self, delay_s: float, action: Callable[[], None]) -> None:
         """Does something later, in vehicle time."""
@@ -281,7 +271,7 @@ class SimulatedAutopilot:
         """One message that came in on a link."""
         if self.hung or self.time_s < self._silent_until_s or not self.signing.admits(link, message):
             return
-        if not self.personality.heard_from(link, message):
+        if not self.autopilot.heard_from(link, message):
             return
         if self.operator_control is not None and not self.operator_control.admits(link, message):
             return
@@ -295,8 +285,8 @@ class SimulatedAutopilot:
         return message.target_system in (0, self.config.system_id)
 
     def _on_command(self, link: int, message: Message) -> None:
-        if self.personality.addressed(message):
-            self.personality.on_command(Command.of(link, message))
+        if self.autopilot.addressed(message):
+            self.autopilot.on_command(Command.of(link, message))
 
     def send_parameter(self, parameter: Parameter, link: int | None, index: int | None = None) -> None:
         """PARAM_VALUE; ``index`` as the autopilot reports it."""
@@ -315,30 +305,30 @@ class SimulatedAutopilot:
         """A parameter the autopilot changed by itself, told to every link."""
         parameter = self.parameters.find(name, -1)
         if parameter is not None:
-            self.send_parameter(parameter, None, self.personality.named_index(parameter))
+            self.send_parameter(parameter, None, self.autopilot.named_index(parameter))
 
     def _on_param_read(self, link: int, message: Message) -> None:
-        if not self.personality.parameters_for(message):
+        if not self.autopilot.parameters_for(message):
             return
         parameter = self.parameters.find(message.param_id, message.param_index)
         if parameter is not None:
             by_name = message.param_index < 0
-            self.send_parameter(parameter, link, self.personality.named_index(parameter) if by_name else None)
+            self.send_parameter(parameter, link, self.autopilot.named_index(parameter) if by_name else None)
 
     def _on_param_list(self, link: int, message: Message) -> None:
-        if not self.personality.parameters_for(message):
+        if not self.autopilot.parameters_for(message):
             return
         # About 100 a second of vehicle time, as over a modest radio.
         for index in range(len(self.parameters)):
             self.after(0.01 * index, lambda i=index: self.send_parameter(self.parameters.at(i), link))  # type: ignore[misc]
 
     def _on_param_set(self, link: int, message: Message) -> None:
-        if not self.personality.parameters_for(message):
+        if not self.autopilot.parameters_for(message):
             return
         parameter = self.parameters.set_from_wire(message.param_id, message.param_value, message.param_type)
         if parameter is not None:
-            self.personality.refresh()
-            self.personality.on_parameter_set(link, parameter)
+            self.autopilot.refresh()
+            self.autopilot.on_parameter_set(link, parameter)
 
     def _on_data_stream(self, link: int, message: Message) -> None:
         if self._for_us(message):
@@ -360,4 +350,4 @@ class SimulatedAutopilot:
 
     def _on_setup_signing(self, link: int, message: Message) -> None:
         if self._for_us(message):
-            self.personality.on_setup_signing(link, message)
+            self.autopilot.on_setup_signing(link, message)

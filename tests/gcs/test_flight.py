@@ -13,10 +13,10 @@ from gcs.flight import (
     FlightState,
     HandoverEvent,
     HandoverState,
+    OperatorCommand,
     TransitionError,
-    Word,
     advance,
-    check_word,
+    check_operator_command,
     handover_step,
 )
 
@@ -57,7 +57,7 @@ def test_no_flight_that_left_the_ground_is_called_refused_and_no_grounded_one_co
 def test_a_lapsed_stream_never_goes_back_to_cruise_directly() -> None:
     """Re-entry is a transit from where the vehicle is, on a person's word."""
     assert FlightState.CRUISE not in FLIGHT_TRANSITIONS[FlightState.LAPSED]
-    check_word(Word.RESUME, FlightState.LAPSED)
+    check_operator_command(OperatorCommand.RESUME, FlightState.LAPSED)
 
 
 @pytest.mark.parametrize("end", [s for s in FlightState if s.ended])
@@ -77,17 +77,17 @@ def test_a_wrong_step_names_both_states_and_what_is_allowed() -> None:
 @pytest.mark.parametrize(
     ("word", "state"),
     [
-        (Word.LAUNCH, "preflight"),
-        (Word.LAUNCH, "cruise"),
-        (Word.RESUME, "cruise"),
-        (Word.HOLD, "lapsed"),
-        (Word.LAND, "ready"),
-        (Word.ABORT, "completed"),
+        (OperatorCommand.LAUNCH, "preflight"),
+        (OperatorCommand.LAUNCH, "cruise"),
+        (OperatorCommand.RESUME, "cruise"),
+        (OperatorCommand.HOLD, "lapsed"),
+        (OperatorCommand.LAND, "ready"),
+        (OperatorCommand.ABORT, "completed"),
     ],
 )
-def test_words_out_of_place_are_refused(word: Word, state: str) -> None:
+def test_words_out_of_place_are_refused(word: OperatorCommand, state: str) -> None:
     with pytest.raises(TransitionError, match=f"'{word}' needs a flight that is"):
-        check_word(word, FlightState(state))
+        check_operator_command(word, FlightState(state))
 
 
 @given(st.lists(st.sampled_from(HandoverEvent), max_size=40))

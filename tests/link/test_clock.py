@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from link.clock import FlightClock, Lateness, TickGrid, UtcScale
+from link.clock import FlightClock, TickGrid, TickLateness, UtcScale
 
 
 def test_the_flight_clock_runs_at_the_speed_up_and_waits_in_real_seconds() -> None:
@@ -65,7 +65,7 @@ def test_what_is_served_is_less_than_a_period_old_and_every_tick_is_served_or_sk
 
 
 def test_lateness_quantiles_are_upper_bounds() -> None:
-    lateness = Lateness()
+    lateness = TickLateness()
     for late_ms in [0.05] * 98 + [3.0, 40.0]:
         lateness.add(late_ms * 1e-3)
     lateness.add(0.0, skipped=2)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import pytest
 
 import link.clock
-from link.clock import LATENESS_EDGES_MS, FlightClock, Lateness, PacedClock, TickGrid, UtcScale
+from link.clock import LATENESS_EDGES_MS, FlightClock, PacedClock, TickGrid, TickLateness, UtcScale
 
 
 class Real:
@@ -180,7 +180,7 @@ def test_a_tick_served_an_instant_before_the_next_is_not_the_next() -> None:
 
 def test_lateness_falls_into_its_bin_edge_included() -> None:
     assert LATENESS_EDGES_MS == (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
-    late = Lateness()
+    late = TickLateness()
     assert late.counts == [0] * 14
     assert (late.worst_ms, late.skipped) == (0.0, 0)
     for seconds in (0.0, 0.5e-3, 0.51e-3, 2.0):
@@ -194,7 +194,7 @@ def test_lateness_falls_into_its_bin_edge_included() -> None:
 
 
 def test_quantiles_of_nothing_of_little_and_of_the_last_bin() -> None:
-    late = Lateness()
+    late = TickLateness()
     assert late.quantile_ms(0.5) == 0.0
     assert late.to_document() == {
         "counts_by_ms": {},
@@ -215,7 +215,7 @@ def test_quantiles_of_nothing_of_little_and_of_the_last_bin() -> None:
 
 
 def test_the_ninety_ninth_percentile_leaves_out_one_tick_in_a_hundred() -> None:
-    late = Lateness()
+    late = TickLateness()
     for _ in range(990):
         late.add(0.00005)
     for _ in range(10):

@@ -1,21 +1,69 @@
-"""The dialect is what the overlay says, regenerates to the same bytes, and agrees with the stock dialects."""
+"""The dialect is what the overlay says, generated to the same bytes everywhere, and agrees with the stock dialects."""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import common
 
 from link.dialect import mavlink, regenerate
+from tests.support.paths import ROOT
+
+# The module pymavlink 2.4.50 makes of the overlay. It changes with either of them and with nothing else: read the diff
+# of the module before and after, then write the new digest here.
+SHA256 = "879ab991591d0cef25d26a0f8dc2a602b385323e401f88a4a1b034333801d902"
 
 
-def test_regenerating_gives_the_committed_module(tmp_path: Path) -> None:
+def digest(module: Path) -> str:
+    return hashlib.sha256(module.read_bytes()).hexdigest()
+
+
+def test_generated_to_the_same_bytes_everywhere(tmp_path: Path) -> None:
     regenerate.generate(tmp_path / "skyrelay.py")
-    assert (tmp_path / "skyrelay.py").read_bytes() == regenerate.MODULE.read_bytes()
+    assert digest(tmp_path / "skyrelay.py") == SHA256
+
+
+def test_the_module_in_use_is_the_one_the_overlay_makes() -> None:
+    assert digest(regenerate.MODULE) == SHA256, "run `make setup`"
+
+
+def test_built_with_the_pymavlink_it_runs_with() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    pins = [
+        [line for line in lines if line.startswith("pymavlink")]
+        for lines in (project["build-system"]["requires"], project["project"]["dependencies"])
+    ]
+    assert pins[0] == pins[1] == ["pymavlink==2.4.50"]
+
+
+def test_a_missing_module_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    """A checkout nobody has set up yet: the error names the command, and the generator works."""
+    folder = tmp_path / "link" / "dialect"
+    folder.mkdir(parents=True)
+    (tmp_path / "link" / "__init__.py").touch()
+    for name in ("__init__.py", "regenerate.py", "skyrelay.xml"):
+        shutil.copy(regenerate.HERE / name, folder)
+    code = "from link.dialect import mavlink; print(mavlink.DIALECT)"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+
+    refused = run("-c", code)
+    assert refused.returncode == 1
+    assert "ImportError: the MAVLink dialect link/dialect/skyrelay.py is generated" in refused.stderr
+    assert "run `make setup`" in refused.stderr
+    assert run("link/dialect/regenerate.py").returncode == 0
+    assert run("-c", code).stdout == "skyrelay\n"
 
 
 def test_command_line_writes_the_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 from planner import Infeasibility, InfeasibleError, Planner, Problem, Solution, certify
 from planner.infeasibility.diagnosis import diagnose
 from tests.support.paths import ROOT
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.planner_missions import digest, make_problem, paper_problem
 
 DEFAULTS = {"margin_m": 25.0, "min_overlap_s": 5.0, "min_tenure_s": 10.0}
 
@@ -97,13 +96,6 @@ def test_flyable_plans_cost_little_on_average() -> None:
     assert np.mean(gaps) < 0.065
 
 
-def digest(solution: Solution) -> str:
-    trajectory = solution.trajectory
-    return hashlib.sha256(
-        trajectory.control_points_m.tobytes() + trajectory.durations_s.tobytes() + trajectory.station_index.tobytes()
-    ).hexdigest()
-
-
 def test_same_problem_same_plan() -> None:
     problem = paper_problem("M30_06", **DEFAULTS)
     planner = Planner()
@@ -116,9 +108,8 @@ def test_same_problem_same_plan() -> None:
 @pytest.mark.slow
 def test_same_plan_in_another_process() -> None:
     code = (
-        "import sys; sys.path.insert(0, 'tests/planner');"
-        "from planner_missions import paper_problem; from test_planner_planner import digest;"
         "from planner import Planner;"
+        "from tests.support.planner_missions import digest, paper_problem;"
         "print(digest(Planner().plan(paper_problem('M30_03'))))"
     )
     runs = {
@@ -187,8 +178,8 @@ def test_one_station_straight_ahead() -> None:
 
 @pytest.mark.parametrize("options", [{}, {"min_overlap_s": 5.0, "min_tenure_s": 10.0}])
 @pytest.mark.parametrize("depth_m", [1.5e-3, 0.1, 10.0])
-def test_tiny_lenses_are_stopped_in(depth_m: float, options: dict[str, float]) -> None:
-    """Two ranges that barely meet at 100 m, antennas there: a vehicle can wait in a lens of a millimetre."""
+def test_tiny_overlaps_are_stopped_in(depth_m: float, options: dict[str, float]) -> None:
+    """Two ranges that barely meet at 100 m, antennas there: a vehicle can wait in an overlap of a millimetre."""
     stations = [[0, 0, 100, 1000], [2000 - depth_m, 0, 100, 1000]]
     problem = make_problem([0, 300, 100], [2000, 300, 110], stations, **options)
     assert_sound(problem, Planner().plan(problem))
@@ -227,7 +218,7 @@ def test_huge_ranges_and_far_from_the_origin() -> None:
 
 @st.composite
 def chains(draw: st.DrawFn) -> Problem:
-    """A chain of stations on hills and plains whose lenses are at least a few millimetres deep."""
+    """A chain of stations on hills and plains whose overlaps are at least a few millimetres deep."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(1, 5))
     scale = 10.0 ** draw(st.floats(2.0, 5.0))
@@ -272,7 +263,7 @@ def chains(draw: st.DrawFn) -> Problem:
 @settings(max_examples=40)
 @given(chains())
 def test_every_chain_gets_a_plan_or_a_reason(problem: Problem) -> None:
-    """Hills, thin lenses, odd limits: planned and certified exactly when nothing is wrong with the ranges."""
+    """Hills, thin overlaps, odd limits: planned and certified exactly when nothing is wrong with the ranges."""
     found = diagnose(problem)
     if found is None:
         assert_sound(problem, Planner().plan(problem, method="fast"))

@@ -1,6 +1,6 @@
 """How a flight must end under every fault, by name: the table behind ``docs/faults.md`` and the tests that fly it.
 
-``python tests/scorecard/fault_outcomes.py`` from the root prints the page. An outcome is not what happened to happen:
+``python -m tests.scorecard.fault_outcomes`` from the root prints the page. An outcome is not what happened to happen:
 each row says why it is the one a careful operator would want. The flight is `flight_plans.relay_plan(2)`: two stations,
 one handover.
 """
@@ -11,16 +11,14 @@ import math
 import random
 import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "faults.md"
-sys.path[:0] = [path for path in (str(ROOT), str(ROOT / "tests")) if path not in sys.path]
+from sitl_fixtures.faults import FAULTS
+from sitl_fixtures.process import Impairment, LossyChannel
+from tests.support.paths import ROOT
+from tests.support.virtual_flight import Proxy, VirtualFlight
 
-from sitl_fixtures.faults.table import FAULTS  # noqa: E402
-from sitl_fixtures.process.proxy import Impairment, LossyChannel  # noqa: E402
-from tests.support.virtual_flight import Proxy, VirtualFlight  # noqa: E402
+PAGE = ROOT / "docs" / "faults.md"
 
 COMPLETED, CONTINGENCY, REFUSED, LOST, LAPSED = "completed", "contingency", "refused", "lost", "lapsed"
 STRANGE = "the vehicle holds a target that is not ours"
@@ -194,12 +192,22 @@ ROWS: tuple[Row, ...] = (
         "a pilot is never fought: silence as long as the pilot has it",
     ),
     both("disarm-in-flight", LOST, "it falls; nothing we send helps"),
-    each("stranger-streams", done(STRANGE), done(), "PX4 obeys anybody: told at once; ArduPilot was told whom to hear"),
     each(
-        "stranger-returns", way_out(LAPSE), done(), "PX4 obeys anybody, and left the mode; ArduPilot does not hear it"
+        "foreign-station-streams",
+        done(STRANGE),
+        done(),
+        "PX4 obeys anybody: told at once; ArduPilot was told whom to hear",
     ),
-    both("stranger-parameter", COMPLETED, "PX4 has no such parameter; ArduPilot does not hear the stranger"),
-    both("stranger-heartbeat", COMPLETED, "a heartbeat commands nothing"),
+    each(
+        "foreign-station-returns",
+        way_out(LAPSE),
+        done(),
+        "PX4 obeys anybody, and left the mode; ArduPilot does not hear it",
+    ),
+    both(
+        "foreign-station-parameter", COMPLETED, "PX4 has no such parameter; ArduPilot does not hear the foreign station"
+    ),
+    both("foreign-station-heartbeat", COMPLETED, "a heartbeat commands nothing"),
     # vehicle
     both("reboot", LOST, "it comes up disarmed and falls; noticed and silent within two seconds"),
     both("hang", CONTINGENCY, "3 s without an answer: " + _SILENT, LAPSE),
@@ -322,7 +330,7 @@ def judge(row: Row, autopilot: str, flight: VirtualFlight) -> list[str]:
     for one in flight.accepted:
         own = ids.get(one.system_id)
         if own is None:
-            continue  # the stranger's
+            continue  # the foreign station's
         if own != flight.stations[one.link]:
             problems.append(f"{own} was obeyed over another link at {one.time_s:.2f} s")
         # One that the vehicle itself held back is obeyed at a moment nobody sent it.
@@ -333,7 +341,7 @@ def judge(row: Row, autopilot: str, flight: VirtualFlight) -> list[str]:
     if lapses and any(time_s > lapses[0] for time_s, _, _, _ in setpoints):
         problems.append("streamed again after a lapse, unasked")
     down = flight.core.state.value in (COMPLETED, CONTINGENCY, REFUSED)
-    if down and (flight.vehicle.personality.armed or not flight.vehicle.body.on_ground):
+    if down and (flight.vehicle.autopilot.armed or not flight.vehicle.body.on_ground):
         problems.append("called down while armed or in the air")
     return problems
 
@@ -349,9 +357,9 @@ def page() -> str:
         "# Faults, and how a flight must end under each",
         "",
         f"{len(all_rows())} faults of the protocol, the network and the vehicle, injected by name (`skyrelay simulate"
-        " --list-faults`; the network's through the lossy proxy), each flown on both autopilots' personalities in"
+        " --list-faults`; the network's through the lossy proxy), each flown on both autopilot models in"
         " virtual time over two stations with one handover. `make soak` flies all; `make test` a sample. This page is"
-        " printed from the table the tests assert (`python tests/scorecard/fault_outcomes.py`).",
+        " printed from the table the tests assert (`python -m tests.scorecard.fault_outcomes`).",
         "",
         "Under every fault, whatever the row says: each setpoint obeyed was sent by the one station in control then,"
         " over its own link and under its own id; after a lapse no setpoint is sent without a person's word; a flight"

@@ -1,5 +1,6 @@
-"""Mutation testing of the modules an aircraft hangs on: ``python tests/scorecard/mutation.py link/transport/gate.py
-...`` from the root.
+"""Mutation testing of the modules an aircraft hangs on.
+
+``python -m tests.scorecard.mutation link/transport/gate.py ...`` from the root.
 
 Each mutant is the module with one small change: a comparison turned or moved by one step, ``and`` for ``or``, an
 operator or a constant changed, a condition negated, a result dropped, a statement left out. Its tests (`MODULES`) must
@@ -31,7 +32,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, ModuleType
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.paths import ROOT
+
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 MODULES: dict[str, tuple[str, ...]] = {
     "link/transport/gate.py": ("tests/link/transport/test_gate_edges.py", "tests/link/transport/test_gate.py"),
@@ -237,12 +239,12 @@ def warm_up() -> None:
     import scipy.optimize
 
     import link.dialect
-    import sitl_fixtures.vehicle.vehicle
+    import sitl_fixtures.vehicle
     from tests.support import flight_plans
 
     flight_plans.relay_plan(3)
     flight_plans.relay_plan(2)
-    assert all((hypothesis.stateful, numpy, pytest, scipy.optimize, link.dialect, sitl_fixtures.vehicle.vehicle))
+    assert all((hypothesis.stateful, numpy, pytest, scipy.optimize, link.dialect, sitl_fixtures.vehicle))
 
 
 def outcome(module: str, path: Path, code: CodeType, tests: tuple[str, ...]) -> str:
@@ -344,7 +346,6 @@ def main() -> int:
 
 if __name__ == "__main__":
     os.chdir(ROOT)
-    sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     # Loading every plugin there is takes five times as long as the tests do.
     os.environ |= {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "_hypothesis_pytestplugin,pytest_timeout"}

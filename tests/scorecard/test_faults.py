@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import tests.scorecard.fault_outcomes as table
-from sitl_fixtures.faults.table import FAULTS
+from sitl_fixtures.faults import FAULTS
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 SAMPLE = (
@@ -16,7 +16,7 @@ SAMPLE = (
     "mode-without-effect",
     "uplink-loss",
     "uplink-loss-share",
-    "stranger-returns",
+    "foreign-station-returns",
     "net-bad",
     "net-dead-in-flight",
 )
@@ -31,7 +31,7 @@ def test_every_fault_of_the_simulator_has_an_outcome_and_there_are_ninety_and_mo
 
 def test_the_page_is_the_table() -> None:
     text = table.PAGE.read_text(encoding="utf-8")
-    assert text == table.page(), "run `python tests/scorecard/fault_outcomes.py > docs/faults.md`"
+    assert text == table.page(), "run `python -m tests.scorecard.fault_outcomes > docs/faults.md`"
 
 
 @pytest.mark.slow

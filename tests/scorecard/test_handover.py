@@ -18,7 +18,7 @@ import pytest
 
 from gcs.flight import FlightState
 from link.handover.handover import handover_windows
-from sitl_fixtures.faults.fault import FaultSet
+from sitl_fixtures.faults import FaultSet
 from tests.scorecard.soak import counted
 from tests.support.flight_plans import relay_plan
 from tests.support.forks import in_fork
@@ -144,11 +144,11 @@ def cut(one: VirtualFlight, dead: str) -> str:
     chain, context = one.core.airborne.chain, one.core.context
     assert not chain.moving
     if one.core.state is FlightState.LAPSED:
-        assert one.vehicle.personality.mode_name in ("HOLD", "GUIDED", "RTL")
+        assert one.vehicle.autopilot.mode_name in ("HOLD", "GUIDED", "RTL")
         assert one.vehicle.body.speed_m_s < 20.0
         return "the autopilot's own hold"
     assert context.control.gate.holder == context.plan.station_ids[chain.leg] != dead
-    assert one.vehicle.personality.mode_name in ("OFFBOARD", "GUIDED")
+    assert one.vehicle.autopilot.mode_name in ("OFFBOARD", "GUIDED")
     return "one owner"
 
 
@@ -223,13 +223,13 @@ def owners_confirmed(one: VirtualFlight, faults: tuple[str, ...], loss: float, s
     Of a vehicle that arbitrates the truth is whom it has in control; of any other, that it obeys the new station: that
     it has taken a setpoint of it, or carried out a command.
     """
-    obeyed, carry_out = set(), one.vehicle.personality.on_command
+    obeyed, carry_out = set(), one.vehicle.autopilot.on_command
 
     def on_command(command: Any) -> Any:
         obeyed.add(one.links[command.link])
         return carry_out(command)
 
-    one.vehicle.personality.on_command = on_command  # type: ignore[method-assign]
+    one.vehicle.autopilot.on_command = on_command  # type: ignore[method-assign]
     before = len(one.accepted)
     one.proxy = Proxy(seed=seed, loss=loss, latency_s=0.02)
     one.vehicle.faults = FaultSet(faults, one.vehicle)

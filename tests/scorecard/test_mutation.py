@@ -65,7 +65,11 @@ def test_what_is_called_equivalent_exists_and_has_a_reason() -> None:
 @pytest.mark.parametrize("module", sorted(mutation.MODULES))
 def test_the_tests_notice_nineteen_of_twenty_changes(module: str) -> None:
     done = subprocess.run(
-        [sys.executable, "tests/scorecard/mutation.py", module], cwd=ROOT, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "tests.scorecard.mutation", module],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     print(done.stdout)
     assert done.returncode == 0, done.stdout + done.stderr

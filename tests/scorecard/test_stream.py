@@ -253,7 +253,7 @@ def killed(one: VirtualFlight, draw: random.Random) -> str:
     """The streamer dies now; the mode the vehicle is in six seconds later, by its own heartbeat."""
     one.frozen = True
     one.run_for(6.0)
-    return str(one.vehicle.personality.mode_name)
+    return str(one.vehicle.autopilot.mode_name)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from link.microservices.parameter_value import Parameter
 from link.preflight.check import Level
 from link.preflight.vehicle import judge_parameters
 from link.session.request import FlightRequest
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.wire.codec import StationCodec
 from tests.scorecard.soak import counted
 from tests.support.flight_plans import relay_plan
@@ -133,7 +133,7 @@ FIELDS = ("lat_deg", "lon_deg", "alt_amsl_m", "yaw_deg", "velocity_ned_m_s", "ac
 def on_the_wire(autopilot: str, count: int, seed: int) -> tuple[int, int]:
     """Setpoints with one to three fields drawn wild; (messages made, of them with a value no autopilot may get)."""
     draw, profile = random.Random(seed), PROFILES[autopilot]
-    base = SetpointStream(relay_plan(2), 20.0).at(10.0)
+    base = SetpointSampler(relay_plan(2), 20.0).at(10.0)
     origin = EkfOrigin(base.lat_deg, base.lon_deg, base.alt_amsl_m)
     made = bad = 0
     for _ in range(count):

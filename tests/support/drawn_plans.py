@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gcs.geodesy.plane import Plane
-from gcs.layout.mission_geometry import Ground
-from gcs.mission.model import Mission
+from gcs.layout.mission_geometry import MissionGeometry
+from gcs.mission import read_mission
 from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
 from planner import Certificate, Trajectory
@@ -42,7 +42,7 @@ def make_plan(
     def local(point: np.ndarray) -> dict[str, float]:  # type: ignore[type-arg]
         return dict(zip(("east_m", "north_m", "up_m"), point.tolist(), strict=True))
 
-    mission = Mission.from_document(
+    mission = read_mission(
         {
             "name": "Drawn by hand",
             "origin": dict(origin),
@@ -72,7 +72,7 @@ def make_plan(
         mission=mission,
         trajectory=trajectory,
         plane=plane,
-        handovers=schedule(Ground(mission, plane), trajectory),
+        handovers=schedule(MissionGeometry(mission, plane), trajectory),
         contingencies=(),
         certificate=Certificate({}),
         lower_bound_s=0.0,

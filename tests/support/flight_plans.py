@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 
@@ -52,7 +52,7 @@ def wide_document() -> dict[str, Any]:
 @cache
 def wide_plan() -> Plan:
     """The plan of `wide_document`."""
-    return plan_mission(Mission.from_document(wide_document()), fast=True)
+    return plan_mission(read_mission(wide_document()), fast=True)
 
 
 FIRST_JOIN_S = 7.4
@@ -62,4 +62,4 @@ FIRST_JOIN_S = 7.4
 @cache
 def relay_plan(stations: int = 3, **options: object) -> Plan:
     """The plan of `relay_document`; options are the mission's."""
-    return plan_mission(Mission.from_document(relay_document(stations, **options)), fast=True)
+    return plan_mission(read_mission(relay_document(stations, **options)), fast=True)

@@ -21,6 +21,7 @@ from link.dialect import mavlink
 from link.session.request import FlightRequest
 from link.transport.opening import open_endpoint
 from link.wire.codec import StationCodec
+from tests.support.heartbeats import is_autopilot
 from tests.support.paths import ROOT
 from tests.support.virtual_flight import plan_home
 
@@ -127,14 +128,6 @@ def kill(process: subprocess.Popen[bytes]) -> None:
         process.stdout.close()
 
 
-def alive(pid: int) -> bool:
-    """Whether a process runs; one that ended and was not fetched by its parent does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
 def mode_seen(url: str, autopilot: str, expected: str, timeout_s: float = 30.0) -> str | None:
     """The mode of the vehicle's own heartbeat, heard by a listener of its own: ``expected``, or the last in vain."""
     profile, codec, mode = PROFILES[autopilot], StationCodec(99), None
@@ -146,7 +139,7 @@ def mode_seen(url: str, autopilot: str, expected: str, timeout_s: float = 30.0) 
             time.sleep(0.05)
             for data in link.receive():
                 for message in codec.decode(data):
-                    if profile.is_autopilot(message):
+                    if is_autopilot(profile, message):
                         mode = profile.mode_of(message)
     return mode
 

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 from gcs.flight import FlightState
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 from tests.support.flight_plans import relay_document
@@ -24,7 +24,7 @@ def safe_plan(stations: int = 3) -> Plan:
     document["safe_points"] = [
         {"id": f"field-{k}", "east_m": 420.0 * k + 100.0, "north_m": 150.0, "up_m": GROUND_M} for k in range(stations)
     ] + [{"id": FAR, "east_m": 5000.0, "north_m": 5000.0, "up_m": GROUND_M}]
-    return plan_mission(Mission.from_document(document), fast=True)
+    return plan_mission(read_mission(document), fast=True)
 
 
 def on_ground(autopilot: str, plan: Plan | None = None, **settings: Any) -> VirtualFlight:

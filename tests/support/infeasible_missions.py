@@ -64,7 +64,7 @@ INFEASIBLE: list[tuple[str, Document, str, tuple[str, ...]]] = [
     ),
     (
         # the discs of 994.99 m overlap by 19.97 m; less a margin of 25 m each they are 30 m apart
-        "lens too small for the margin",
+        "overlap too small for the margin",
         local(stations__1__east_m=1970.0, destination__east_m=1970.0, options__range_margin_m=25.0),
         "broken_chain",
         ("margin of 25 m", "ower range_margin_m to"),

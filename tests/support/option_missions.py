@@ -2,7 +2,7 @@
 
 ::
 
-          north   B (1500, 900)           A, B, C reach 1000 m, their lenses are 240 m deep;
+          north   B (1500, 900)           A, B, C reach 1000 m, their overlaps are 240 m deep;
                  *     *                  F reaches 3000 m from (3000, -2500): with it one handover
       A *                   * C           less will do, on a longer way.
       start 0              destination 3000 m east

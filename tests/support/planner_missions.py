@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +10,8 @@ from typing import Any
 import numpy as np
 from geographiclib.geodesic import Geodesic
 
-from planner import Limits, Problem
+from planner import Corridor, Limits, Problem, Solution, build_corridor
+from planner.paper import shortest_sequence
 from tests.support.paths import MISSIONS
 
 PAPER_LIKE = tuple(sorted(path.stem for path in (MISSIONS / "paper_like").glob("*.json")))
@@ -130,11 +132,16 @@ HARD_SEQUENCES = {
 }
 
 
+def corridor_of(problem: Problem, **options: Any) -> Corridor:
+    """The corridor along Dijkstra's sequence."""
+    return build_corridor(problem, shortest_sequence(problem), **options)
+
+
 def random_chain(seed: int) -> Problem | None:
     """A hostile chain of one to six stations; None where the drawn heights share no altitude of the band.
 
     Ranges from 3 m to 3,000 km, up to a thousandfold apart in one scene; antennas below, in and above the band; bands
-    from none to a range high; lenses from a millimetre to a whole range deep; coincident stations; ends on the very
+    from none to a range high; overlaps from a millimetre to a whole range deep; coincident stations; ends on the very
     edge of range and band; limits, overlap and tenure far too large or small for the distances.
     """
     rng = np.random.default_rng(seed)
@@ -211,3 +218,11 @@ def scene(*stations: tuple[float, float, float, float], **options: object) -> Pr
     """Ends at the first and last station's axes, 100 m up, band 100 to 120 m."""
     first, last = stations[0], stations[-1]
     return make_problem([first[0], first[1], 100], [last[0], last[1], 100], stations, **options)
+
+
+def digest(solution: Solution) -> str:
+    """A hash of a plan's every bit."""
+    trajectory = solution.trajectory
+    return hashlib.sha256(
+        trajectory.control_points_m.tobytes() + trajectory.durations_s.tobytes() + trajectory.station_index.tobytes()
+    ).hexdigest()

@@ -1,9 +1,17 @@
-"""The processes below one, and whether they are gone."""
+"""Processes: whether one runs, those below one, and whether they are gone."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that ended and was not fetched by its parent does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def descendants(pid: int) -> set[int]:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from gcs.errors import MissionError, MissionInfeasible
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.planning.mission_planning import plan_mission
 from planner import Problem
 from tests.support.checker import check_plan
@@ -29,7 +29,7 @@ def random_mission(seed: int, number: int) -> Document:
         if document is None:
             continue
         try:
-            Mission.from_document(document)
+            read_mission(document)
         except MissionError:
             continue  # more than the door lets through
         return document
@@ -38,7 +38,7 @@ def random_mission(seed: int, number: int) -> Document:
 def outcome(document: Document, *, fast: bool) -> tuple[str, list[str]]:
     """``"planned"`` or the reason why not, and complaints: what the judge says of a plan, or of a refusal."""
     try:
-        plan = plan_mission(Mission.from_document(document), fast=fast)
+        plan = plan_mission(read_mission(document), fast=fast)
     except MissionInfeasible as reason:
         said = reason.to_document()
         complaints = [] if said["reason"] and said["message"] else ["infeasible without an explanation"]

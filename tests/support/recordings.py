@@ -1,4 +1,4 @@
-"""The recorded conversations with real autopilots, as the wire's tests read them."""
+"""The recorded conversations with real autopilots, message by message."""
 
 from __future__ import annotations
 

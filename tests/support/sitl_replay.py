@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import gzip
 import hashlib
-import json
 import math
 import re
 import struct
@@ -16,9 +14,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
-from tests.support.paths import RECORDINGS
+from sitl_fixtures.ardupilot.parameters import ARDUPILOT
+from sitl_fixtures.px4.parameters import PX4
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
+from tests.support.recordings import load
 
 BOOT_S = {"ArduCopter": 0.06, "PX4": 0.37}
 READY_S = {"ArduCopter": 41.4, "PX4": 3.9}
@@ -56,11 +55,9 @@ class Recording:
 
 
 @lru_cache(maxsize=2)
-def load(name: str) -> Recording:
+def read_recording(name: str) -> Recording:
     """Reads a recording by its file name without suffixes."""
-    with gzip.open(RECORDINGS / f"{name}.jsonl.gz", "rt", encoding="utf-8") as lines:
-        header = json.loads(next(lines))
-        messages = [json.loads(line) for line in lines]
+    header, messages = load(name)
     heard = [Heard(m["t"], m["link"], m["msg"], m["fields"]) for m in messages if m["dir"] == "rx"]
     return Recording(header, [m for m in messages if m["dir"] == "tx"], heard)
 
@@ -149,7 +146,7 @@ class Replay:
                 self._collect(now)
                 e, b = sim.estimator, sim.body
                 self.path.append((now, e.n, e.e, e.d, b.vn, b.ve, b.vd))
-                name = sim.personality.mode_name
+                name = sim.autopilot.mode_name
                 if not self.modes or self.modes[-1][1] != name:
                     self.modes.append((now, name))
                 next_sample += 0.05
@@ -188,9 +185,7 @@ class Replay:
 
 
 def _table(autopilot: str) -> list[tuple[str, float, int]]:
-    from sitl_fixtures.ardupilot import parameters
-
-    return parameters.ARDUPILOT if autopilot == "ArduCopter" else parameters.PX4
+    return ARDUPILOT if autopilot == "ArduCopter" else PX4
 
 
 # Texts that belong to sensors, logs and start-up, not to the conversation.

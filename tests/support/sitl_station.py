@@ -8,8 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0x0DF8, 0x0DC0, 0x0C00, 0x0DC7
@@ -82,7 +81,7 @@ class Rig:
 
     @property
     def mode(self) -> str:
-        return self.sim.personality.mode_name
+        return self.sim.autopilot.mode_name
 
     def off(self, north: float, east: float) -> float:
         """Horizontal distance from a local place, m."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from gcs.flight import EventKind, FlightEvent, FlightState
-from gcs.mission.model import Mission
+from gcs.mission import read_mission, write_mission
 from gcs.store.missions import Idempotency
 from gcs.store.store import Store
 from tests.support.malformed_missions import GOOD
@@ -16,7 +16,7 @@ from tests.support.malformed_missions import GOOD
 
 def main() -> None:
     store = Store(sys.argv[1])
-    document = Mission.from_document(GOOD).to_document()
+    document = write_mission(read_mission(GOOD))
     record, _ = store.missions.add(document)
     claim = store.queue.claim("writer", 60.0)
     assert claim is not None

@@ -1,15 +1,15 @@
 """Writes docs/third-party-notices.md from the lock file and the installed packages' own metadata.
 
-Run ``python tests/support/third_party.py`` after the lock file changes; a test holds the page against the lock.
+Run ``python -m tests.support.third_party`` after the lock file changes; a test holds the page against the lock.
 """
 
 from __future__ import annotations
 
 import re
 from importlib import metadata
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.paths import ROOT
+
 PAGE = ROOT / "docs" / "third-party-notices.md"
 
 HEADER = """# Third-party notices

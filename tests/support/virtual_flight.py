@@ -20,8 +20,7 @@ from gcs.plan.model import Plan
 from link.director.core import FlightCore
 from link.session.request import FlightRequest
 from link.wire.codec import StationCodec
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 
 EPOCH_UNIX_S = 1_795_000_000.0
 
@@ -114,7 +113,7 @@ def handover_gaps_s(flight: VirtualFlight, around_s: float = 2.0) -> list[float]
 
 
 class VirtualFlight:
-    """One flight of a plan by an autopilot's personality. `run` until it ends, or some condition holds."""
+    """One flight of a plan by an autopilot model. `run` until it ends, or some condition holds."""
 
     def __init__(
         self,

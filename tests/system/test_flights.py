@@ -1,4 +1,4 @@
-"""Whole flights: real missions, both autopilots' personalities, from preflight to landing.
+"""Whole flights: real missions, both autopilot models, from preflight to landing.
 
 In virtual time the core and the simulated vehicle share one clock, so an hour and a half over the Wadden Sea is flown
 in minutes and the same every time. Over real UDP and the wall clock, the command line flies against simulators.
@@ -25,7 +25,7 @@ import pytest
 
 from gcs.flight import FlightState
 from gcs.geodesy.ellipsoid import slant_range_m
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 from link.files.flight_report import report_flight
@@ -33,7 +33,6 @@ from link.streamer.supervisor import start_flight
 from tests.scorecard.soak import counted
 from tests.support.flight_processes import (
     Events,
-    alive,
     bad_links,
     free_ports,
     kill,
@@ -43,6 +42,7 @@ from tests.support.flight_processes import (
 )
 from tests.support.forks import in_fork
 from tests.support.paths import MISSIONS
+from tests.support.process_tree import alive
 from tests.support.virtual_flight import Proxy, VirtualFlight, handover_gaps_s, one_station_at_a_time, plan_home
 
 AUTOPILOTS = ("ardupilot", "px4")
@@ -52,7 +52,7 @@ AUTOPILOTS = ("ardupilot", "px4")
 def plan_of(name: str) -> Plan:
     document: dict[str, Any] = json.loads((MISSIONS / name).read_text(encoding="utf-8"))
     document.pop("options", None)
-    return plan_mission(Mission.from_document(document), fast=True)
+    return plan_mission(read_mission(document), fast=True)
 
 
 @pytest.mark.slow
@@ -158,7 +158,7 @@ def end_past_a_dead_station(flight: VirtualFlight, handover: int, which: str) ->
     flight.proxy.cuts.append((dead, flight.now_s, 1e9))
     end = flight.run()
     one_station_at_a_time(flight)
-    assert not flight.vehicle.personality.armed
+    assert not flight.vehicle.autopilot.armed
     again = dead in plan.station_ids[handover + 1 :] or (which == "old" and dead in plan.station_ids[handover:])
     if which == "old" and not again:
         assert end is FlightState.COMPLETED, flight.events[-5:]
@@ -187,7 +187,7 @@ def end_with_the_streamer_killed(flight: VirtualFlight) -> None:
     assert len(flight.sent) == sent
     # PX4 holds a second after the stream's end; ArduPilot returns five seconds after the last heartbeat.
     autopilot = flight.request.autopilot
-    assert flight.vehicle.personality.mode_name == {"px4": "HOLD", "ardupilot": "RTL"}[autopilot]
+    assert flight.vehicle.autopilot.mode_name == {"px4": "HOLD", "ardupilot": "RTL"}[autopilot]
     assert max(a.time_s for a in flight.accepted) <= silent_s + 0.1
     one_station_at_a_time(flight)
 
@@ -249,7 +249,7 @@ def test_whatever_dies_along_a_flight_it_ends_as_it_must(name: str, autopilot: s
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_paper_like_mission_over_udp_on_the_wall_clock(tmp_path: Path) -> None:
-    """Both personalities at once, in real time, one UDP link per station, through the command line."""
+    """Both autopilot models at once, in real time, one UDP link per station, through the command line."""
     plan = plan_of("paper_like/M30_09.json")
     plan_file = tmp_path / "plan.json"
     plan_file.write_text(json.dumps(plan.to_document()), encoding="utf-8")
@@ -370,7 +370,7 @@ def on_the_wall_clock(kind: str, autopilot: str, folder: Path) -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", ["bad links", "station", "streamer", "service"])
 def test_one_of_each_kind_on_the_wall_clock(kind: str, tmp_path: Path) -> None:
-    """10 % loss, 100 ms and reordering; a station, the streamer, the service killed: both personalities at once."""
+    """10 % loss, 100 ms and reordering; a station, the streamer, the service killed: both autopilot models at once."""
     folders = [tmp_path / autopilot for autopilot in AUTOPILOTS]
     for folder in folders:
         folder.mkdir()

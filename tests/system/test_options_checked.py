@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcs.errors import MissionInfeasible
-from gcs.mission.model import Mission
+from gcs.mission import read_mission, write_mission
+from gcs.plan import read_plan
 from gcs.plan.model import Plan, hash_of
 from gcs.planning.mission_planning import plan_mission
 from gcs.planning.option_costs import with_costs
@@ -71,7 +72,7 @@ NAMES = [case[0] for case in BINDING]
 
 def planned(mission: Document, **how: Any) -> Document:
     """The plan as a reader gets it: through JSON text and back."""
-    plan = plan_mission(Mission.from_document(mission), **{"fast": True, **how})
+    plan = plan_mission(read_mission(mission), **{"fast": True, **how})
     document: Document = json.loads(json.dumps(plan.to_document(), allow_nan=False))
     return document
 
@@ -143,14 +144,14 @@ def with_all() -> Plan:
         "limits.max_jerk_m_s3": 3.0,
         "options.arrival_s": 160.0,
     }
-    mission = Mission.from_document(changed(BASE, options))
+    mission = read_mission(changed(BASE, options))
     return with_costs(plan_mission(mission, fast=True), method="fast")
 
 
 def test_costs_are_what_planning_without_the_option_saves(with_all: Plan) -> None:
     costs = {cost.option: cost.cost_s for cost in with_all.costs}
     assert set(costs) == {"min_overlap_s", "range_margin_m", "min_tenure_s", "max_jerk_m_s3", "arrival_s", "together"}
-    mission = with_all.mission.to_document()
+    mission = write_mission(with_all.mission)
     hurried = changed(mission, {"options.arrival_s": None})
     base_s = planned(hurried)["mission_time_s"]
     assert costs["arrival_s"] == pytest.approx(160.0 - base_s)
@@ -167,8 +168,8 @@ def test_costs_are_part_of_the_plan_and_of_its_hash(with_all: Plan) -> None:
     document = json.loads(json.dumps(with_all.to_document()))
     assert document["costs"][0].keys() == {"option", "value", "cost_s"}
     assert document["plan_sha256"] == hash_of(document)
-    assert check_plan(document, with_all.mission.to_document()) == []
-    assert Plan.from_document(document).costs == with_all.costs
+    assert check_plan(document, write_mission(with_all.mission)) == []
+    assert read_plan(document).costs == with_all.costs
 
 
 # --- any mixture ------------------------------------------------------------------------------------------------------
@@ -186,7 +187,7 @@ def flown_or_explained(seed: int) -> None:
         assert error.fix is not None, error.message
         assert error.fix_text.endswith("."), error.fix_text
         json.dumps(error.to_document(), allow_nan=False)
-        document = apply_fix(Mission.from_document(document), error.fix).to_document()
+        document = write_mission(apply_fix(read_mission(document), error.fix))
     raise AssertionError(f"seed {seed}: three fixes were not enough, {outcome(document)}")
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from gcs.errors import MissionInfeasible
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.planning.mission_planning import plan_mission
 from tests.support.checker import check_plan
 from tests.support.paths import MISSIONS
@@ -29,7 +29,7 @@ def load(path: Path, **options: object) -> dict[str, Any]:
 
 def planned(mission: dict[str, Any], **how: Any) -> dict[str, Any]:
     """The plan as a reader gets it: through JSON text and back."""
-    document: dict[str, Any] = json.loads(json.dumps(plan_mission(Mission.from_document(mission), **how).to_document()))
+    document: dict[str, Any] = json.loads(json.dumps(plan_mission(read_mission(mission), **how).to_document()))
     return document
 
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from importlib import metadata
 from pathlib import Path
@@ -15,6 +16,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.support.paths import ROOT
+
+DIALECT = Path("link/dialect/skyrelay.py")
 
 
 def run(*command: str | Path, cwd: Path, timeout_s: float = 600) -> subprocess.CompletedProcess[str]:
@@ -34,16 +37,40 @@ def run(*command: str | Path, cwd: Path, timeout_s: float = 600) -> subprocess.C
     return result
 
 
+def copy_source(target: Path) -> None:
+    """The checkout as git would hand it over: nothing generated, so that a build must make what it needs."""
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listing.returncode:  # an unpacked archive: it holds only what git tracks, and what was made here since
+        made_here = shutil.ignore_patterns(
+            ".git", ".venv", "*.egg-info", "build", "dist", "__pycache__", ".*_cache", ".hypothesis"
+        )
+        shutil.copytree(ROOT, target, ignore=made_here)
+        (target / DIALECT).unlink(missing_ok=True)
+        return
+    for name in filter(None, listing.stdout.split("\0")):
+        if (ROOT / name).is_file():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+    assert not (target / DIALECT).exists()
+
+
+def build(source: Path, out: Path, *kinds: str) -> None:
+    run(sys.executable, "-m", "build", *kinds, "--no-isolation", "--outdir", out, source, cwd=source)
+
+
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of the checkout as git would hand it over: built from a copy, so that nothing is left behind."""
-    source = tmp_path_factory.mktemp("source") / "skyrelay"
-    ignore = shutil.ignore_patterns(
-        ".git", ".venv", "*.egg-info", "build", "dist", "__pycache__", ".*_cache", ".hypothesis"
-    )
-    shutil.copytree(ROOT, source, ignore=ignore)
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the checkout, so that building leaves nothing behind."""
+    target = tmp_path_factory.mktemp("source") / "skyrelay"
+    copy_source(target)
+    return target
+
+
+@pytest.fixture(scope="module")
+def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built straight from the checkout."""
     out = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", out, source, cwd=source)
+    build(source, out, "--wheel")
     (built,) = out.glob("*.whl")
     return built
 
@@ -76,13 +103,32 @@ def test_wheel_holds_code_and_data_but_no_tests(wheel: Path) -> None:
     for wanted in (
         "planner/py.typed",
         "link/dialect/skyrelay.xml",
-        "link/dialect/skyrelay.py",
+        str(DIALECT),
         "sitl_fixtures/missions/wadden_relay.json",
         "sitl_fixtures/missions/paper_like/M30_01.json",
         "gcs/store/migrations/env.py",
     ):
         assert wanted in names
     assert not [name for name in names if name.startswith(("tests/", "docs/"))]
+
+
+@pytest.mark.slow
+def test_wheel_of_the_sdist_is_the_wheel_of_the_checkout(wheel: Path, source: Path, tmp_path: Path) -> None:
+    """The sdist carries what the dialect is made from, not the dialect, and builds to the same files."""
+    (source / DIALECT).write_text("raise SystemExit('stale')")  # left over in somebody's checkout
+    try:
+        build(source, tmp_path)  # an sdist, and the wheel out of that
+    finally:
+        (source / DIALECT).unlink()
+    (sdist,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        carried = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
+    assert {"setup.py", "link/dialect/skyrelay.xml", "link/dialect/regenerate.py"} <= carried
+    assert str(DIALECT) not in carried
+    (second,) = tmp_path.glob("*.whl")
+    checksums = [{i.filename: i.CRC for i in zipfile.ZipFile(w).infolist()} for w in (wheel, second)]
+    records = [{name: crc for name, crc in each.items() if ".dist-info/" not in name} for each in checksums]
+    assert records[0] == records[1]
 
 
 @pytest.mark.slow

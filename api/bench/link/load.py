@@ -14,16 +14,16 @@ import urllib.error
 import urllib.request
 from typing import Any
 
-from api.processes.quick_mission import QUICK_MISSION
+from api.processes import QUICK_MISSION
 
 
 def plan_for_ever() -> None:
     """Plan the same small mission again and again."""
-    from gcs.mission import Mission
+    from gcs.mission import read_mission
     from gcs.planning import plan_mission
 
     while True:
-        plan_mission(Mission.from_document(QUICK_MISSION))
+        plan_mission(read_mission(QUICK_MISSION))
 
 
 def ask_for_ever(url: str) -> None:

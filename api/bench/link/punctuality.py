@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from api.bench.link.wiretap import Heard, Wiretap, lateness_ms, missed
-from api.processes import simulator
-from api.processes.children import Child, ChildError, Children, python_module
-from gcs.mission import Mission
+from api.processes import Child, ChildError, Children, python_module, start_simulator
+from gcs.mission import read_mission
 from gcs.planning import plan_mission
 from link.session import FlightRequest
 from link.streamer import RunningFlight, start_flight
@@ -133,7 +132,7 @@ def bench_plan(seconds: float) -> Plan:
     spacing_m = max(_SPACING_M, seconds * _SPEED_M_S / (_MOST_STATIONS - 2))
     count = 2 + math.ceil(seconds * _SPEED_M_S / spacing_m)
     return plan_mission(
-        Mission.from_document(
+        read_mission(
             {
                 "name": "In a row",
                 "origin": {"lat_deg": 52.95, "lon_deg": 4.79, "alt_amsl_m": 0.0},
@@ -225,7 +224,7 @@ class _Measurement:
         self._folder, self._children, self._stack = folder, children, stack
         self._rate_hz, self._signed = rate_hz, signed
         self._events: list[tuple[float, FlightEvent]] = []
-        _, links = simulator.start(children, plan, autopilot=AUTOPILOT, speedup=1.0)
+        _, links = start_simulator(children, plan, autopilot=AUTOPILOT, speedup=1.0)
         ports = {station: int(url.rsplit(":", 1)[1]) for station, url in links.items()}
         key = secrets.token_bytes(32)
         vehicle = None

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from link.autopilot import PROFILES, EkfOrigin
 from link.dialect import mavlink
-from link.setpoints import SetpointStream
+from link.setpoints import SetpointSampler
 from link.wire import Signing, SigningKey, SigningStore, StationCodec
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def _per_second(work: Callable[[], Any], seconds: float) -> float:
 
 def wire_rates(plan: Plan, *, rate_hz: float = 50.0, seconds: float = 0.3) -> list[Rate]:
     """Every rate, the reference first; takes about ``seconds`` for each of nine."""
-    stream = SetpointStream(plan, rate_hz)
+    stream = SetpointSampler(plan, rate_hz)
     middle_s = 0.5 * stream.duration_s
     setpoint = stream.at(middle_s)
     plane = plan.plane

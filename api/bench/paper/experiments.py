@@ -23,10 +23,9 @@ from typing import Any
 import numpy as np
 
 from api.bench.paper.results import Results, fingerprint
-from api.bench.planner.cases import PAPER_OPTIONS, Case
-from api.bench.planner.compare import mean_and_worst
+from api.bench.planner import PAPER_OPTIONS, Case, mean_and_worst
 from gcs.layout import lay_out
-from gcs.mission import Mission
+from gcs.mission import Mission, read_mission, with_options
 from gcs.planning import plan_mission, product_version
 from planner import Problem, SolverError, Trajectory
 from planner.experiments import Evaluation, enumerate_plans
@@ -112,13 +111,13 @@ def run(
     ``enumeration`` is None where there is none yet. ``longer`` is the enumeration under the longest limit, if longer
     than asked.
 
-    Raises what `Mission.from_document` and the planners raise for a mission that cannot be used.
+    Raises what `read_mission` and the planners raise for a mission that cannot be used.
     """
     here = machine()
     rows = []
     for number, case in enumerate(cases, start=1):
         key = fingerprint(case.document)
-        mission = Mission.from_document(case.document).with_options(PAPER_OPTIONS)
+        mission = with_options(read_mission(case.document), PAPER_OPTIONS)
         problem = lay_out(mission).problem
         measured: dict[str, Any] = {"name": case.name, "stations": len(mission.stations), "allocations": {}}
         measured["enumeration"] = measured["longer"] = None

@@ -16,9 +16,9 @@ import numpy as np
 
 from api.bench.paper import drawing
 from api.bench.paper.experiments import ALLOCATIONS, DELTA_T_S, curve_of, mission_times
-from api.bench.planner.cases import PAPER_OPTIONS, Case
+from api.bench.planner import PAPER_OPTIONS, Case
 from gcs.layout import lay_out
-from gcs.mission import Mission
+from gcs.mission import read_mission, with_options
 from planner import Problem
 from planner.paper import Iteration, plan_paper
 
@@ -37,7 +37,7 @@ def draw_all(cases: Sequence[Case], rows: Sequence[dict[str, Any]], folder: Path
 
     Raises ``OSError`` when a file cannot be written.
     """
-    problems = [lay_out(Mission.from_document(case.document).with_options(PAPER_OPTIONS)).problem for case in cases]
+    problems = [lay_out(with_options(read_mission(case.document), PAPER_OPTIONS)).problem for case in cases]
     maps = list(zip(rows, problems, strict=True))
     figures: list[tuple[str, str, Callable[[], Any]]] = [
         ("09-scenarios", "the first mission of each size, with its ranges", partial(scenarios, maps)),

@@ -8,7 +8,7 @@ from typing import Any
 from api.bench.paper.experiments import ALLOCATIONS
 
 
-def page(document: dict[str, Any]) -> str:
+def tables_page(document: dict[str, Any]) -> str:
     """The page of the document that ``skyrelay bench planner --paper`` prints as JSON."""
     settings = document["settings"]
     limits = f"--time-limit {settings['time_limit_s']:g} --rival-limit {settings['rival_limit_s']:g}"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gcs.errors import MissionInfeasible
 from gcs.layout import lay_out
-from gcs.mission import Mission, MissionOptions
+from gcs.mission import MissionOptions, read_mission
 from planner import Limits, Problem
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ def _has_a_way(document: dict[str, Any]) -> bool:
     from planner.paper import shortest_sequence
 
     try:
-        shortest_sequence(lay_out(Mission.from_document(document)).problem)
+        shortest_sequence(lay_out(read_mission(document)).problem)
     except (InfeasibleError, MissionInfeasible):
         return False
     return True

@@ -3,9 +3,9 @@
 "Ours" is this planner and "fast" its fast method. The reference is the paper's decoupling approach with alternating
 minimisation, written in plain cvxpy (`planner.experiments.cvxpy_reference`) with the paper's delta_T of 1 s.
 ``solve_s`` are processor seconds of this process, which other work on the machine does not change, from a problem to a
-certified trajectory, the same span for all. ``whole_s`` goes from a mission to its plan: layout, schedule, ways out and
-what the certificate says of the true earth are in it too, which the reference does not make. ``wall_s`` is that by the
-watch.
+certified trajectory, the same span for all.
+``whole_s`` goes from a mission to its plan: layout, schedule, contingencies and what the certificate says of the true
+earth are in it too, which the reference does not make. ``wall_s`` is that by the watch.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from api.bench.planner.cases import DEFAULT_OPTIONS, PAPER_OPTIONS, Case, chain, crowd, drawn, fixed
 from gcs.errors import MissionInfeasible, PlanningFailed
 from gcs.layout import lay_out
-from gcs.mission import Mission
+from gcs.mission import Mission, read_mission, with_options
 from gcs.planning import default_planner, plan_mission
 from planner import Method, PlannerError, Problem, Solution
 
@@ -109,9 +109,9 @@ def measure(case: Case, options: dict[str, Any] | None = None, *, reference: boo
 
     Raises `gcs.errors.MissionError` for a mission that cannot be read. One without a plan is a result.
     """
-    mission = Mission.from_document(case.document)
+    mission = read_mission(case.document)
     if options is not None:
-        mission = mission.with_options(options)
+        mission = with_options(mission, options)
     count = len(mission.stations)
     try:
         ours, bound_s = _run(mission, "joint")

@@ -12,7 +12,7 @@ import numpy as np
 from api.bench.planner.cases import DEFAULT_OPTIONS, PAPER_OPTIONS, Case
 from api.bench.planner.compare import mean_and_worst, timed
 from gcs.errors import MissionError, MissionInfeasible
-from gcs.mission import Mission
+from gcs.mission import Mission, read_mission, with_options, write_mission
 from gcs.plan import Plan
 from gcs.planning import plan_mission
 
@@ -85,7 +85,7 @@ def measure_costs(cases: Sequence[Case], *, tell: Callable[[str], None] = lambda
     infeasible, refused = dict.fromkeys(costs, 0), dict.fromkeys(costs, 0)
     for number, case in enumerate(cases, start=1):
         tell(f"{number} of {len(cases)}: {case.name}, {len(CHANGES)} options")
-        plain = Mission.from_document(case.document).with_options(PAPER_OPTIONS)
+        plain = with_options(read_mission(case.document), PAPER_OPTIONS)
         base = plan_mission(plain)
         for change in CHANGES:
             changes = change.of(base)
@@ -116,7 +116,7 @@ def measure_costs(cases: Sequence[Case], *, tell: Callable[[str], None] = lambda
 
 
 def _changed(mission: Mission, changes: dict[str, Any]) -> Mission:
-    document = mission.to_document()
+    document = write_mission(mission)
     for section, values in changes.items():
         part = document[section]
         if isinstance(part, list):
@@ -124,4 +124,4 @@ def _changed(mission: Mission, changes: dict[str, Any]) -> Mission:
         else:
             assert isinstance(part, dict)
             document[section] = {**part, **values}
-    return Mission.from_document(document)
+    return read_mission(document)

@@ -9,7 +9,7 @@ import numpy as np
 from api.bench.planner.cases import PAPER_OPTIONS, chain, crowd
 from api.bench.planner.compare import measure, row_of, timed
 from gcs.layout import lay_out
-from gcs.mission import Mission
+from gcs.mission import read_mission, with_options
 from planner import Problem
 from planner.corridor import build_corridor, polyline_length_m, shortest_polyline
 from planner.paper import plan_paper, shortest_sequence
@@ -27,7 +27,7 @@ def segments_row(segments: int, seed: int) -> dict[str, Any]:
     """
     case = chain(segments, seed)
     result = measure(case)
-    mission = Mission.from_document(case.document).with_options(PAPER_OPTIONS)
+    mission = with_options(read_mission(case.document), PAPER_OPTIONS)
     row = row_of(result)
     problem = lay_out(mission).problem
     solution, solve_s, wall_s = timed(lambda: plan_paper(problem))

@@ -1,1 +1,1 @@
-"""The bench commands."""
+"""``skyrelay bench``: the commands, their options, and how figures are printed; `api.bench` measures."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from api.cli import console
-from api.processes.quick_mission import QUICK_MISSION
+from api.processes import QUICK_MISSION
 
 if TYPE_CHECKING:
     from api.bench.link.rates import Rate
@@ -65,10 +65,10 @@ def bench_link(
 
 def _rates() -> list[Rate]:
     from api.bench.link.rates import wire_rates
-    from gcs.mission import Mission
+    from gcs.mission import read_mission
     from gcs.planning import plan_mission
 
-    return wire_rates(plan_mission(Mission.from_document(QUICK_MISSION), fast=True))
+    return wire_rates(plan_mission(read_mission(QUICK_MISSION), fast=True))
 
 
 def _lateness(seconds: float, rates_hz: tuple[float, ...], loads: tuple[bool, ...]) -> dict[str, Any]:

@@ -6,199 +6,38 @@ import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from api.cli import console, inputs
+from api.cli.bench.planner_options import PlannerBenchOptions
 from api.cli.errors import BadInputError, FaultError
+from api.cli.options import command_of
 
 if TYPE_CHECKING:
-    from api.bench.planner.cases import Case
-
-_MISSIONS, _WHAT, _PAPER = "Which missions", "What is measured", "The seed paper's experiments"
+    from api.bench.planner import Case
 
 
-def bench_planner(
-    missions: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DIR",
-            rich_help_panel=_MISSIONS,
-            help="Missions (*.json) to plan; default: the 30 drawn as in the paper's Table 2.",
-        ),
-    ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", rich_help_panel=_MISSIONS, help="One mission of each size.")
-    ] = False,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", rich_help_panel=_MISSIONS, help="Only this mission, e.g. [bold]M30_01[/bold]; repeatable."
-        ),
-    ] = None,
-    random: Annotated[
-        int,
-        typer.Option(
-            min=0, max=1000, metavar="K", rich_help_panel=_MISSIONS, help="Draw K new missions of each size instead."
-        ),
-    ] = 0,
-    seed: Annotated[
-        int, typer.Option(min=0, metavar="N", rich_help_panel=_MISSIONS, help="What every draw starts from.")
-    ] = 1,
-    as_given: Annotated[
-        bool,
-        typer.Option(
-            "--as-given",
-            rich_help_panel=_MISSIONS,
-            help="Keep each mission's own options instead of the paper's (no overlap, no margin, no tenure).",
-        ),
-    ] = False,
-    default_options: Annotated[
-        bool,
-        typer.Option(
-            "--default-options",
-            rich_help_panel=_MISSIONS,
-            help="Plan with the overlap, margin and tenure a mission gets that asks for nothing.",
-        ),
-    ] = False,
-    ours_only: Annotated[
-        bool,
-        typer.Option("--ours-only", rich_help_panel=_WHAT, help="Without the paper's method, for many missions."),
-    ] = False,
-    segments: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N,N", rich_help_panel=_WHAT, help="Instead: chains of so many stations, e.g. [bold]100,175[/bold]."
-        ),
-    ] = None,
-    routing: Annotated[
-        str | None,
-        typer.Option(
-            metavar="M,M",
-            rich_help_panel=_WHAT,
-            help="Instead: routing on maps of so many stations, e.g. [bold]1000,10000,100000[/bold].",
-        ),
-    ] = None,
-    costs: Annotated[
-        bool,
-        typer.Option(
-            "--costs", rich_help_panel=_WHAT, help="Instead: what each option and limit costs in seconds of flight."
-        ),
-    ] = False,
-    everything: Annotated[
-        bool,
-        typer.Option("--all", rich_help_panel=_WHAT, help="All of the above, one after the other; about ten minutes."),
-    ] = False,
-    paper: Annotated[
-        bool,
-        typer.Option(
-            "--paper",
-            rich_help_panel=_PAPER,
-            help="Instead: the paper's Tables 3 and 4 beside this planner; an hour for all 30.",
-        ),
-    ] = False,
-    time_limit: Annotated[
-        float | None,
-        typer.Option("--time-limit", metavar="S", rich_help_panel=_PAPER, help="Seconds for EM on a mission [60]."),
-    ] = None,
-    rival_limit: Annotated[
-        float | None,
-        typer.Option(
-            "--rival-limit", metavar="S", rich_help_panel=_PAPER, help="Seconds for each method of Table 4 [3]."
-        ),
-    ] = None,
-    results: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            rich_help_panel=_PAPER,
-            help="Keep every measurement there, and go on from what is there already.",
-        ),
-    ] = None,
-    redo: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="WHAT",
-            rich_help_panel=_PAPER,
-            help="Measure again in spite of --results: [bold]ours[/bold] (with DC beside it), "
-            "[bold]enumeration[/bold] or [bold]rivals[/bold]; repeatable.",
-        ),
-    ] = None,
-    kept_only: Annotated[
-        bool,
-        typer.Option(
-            "--kept-only",
-            rich_help_panel=_PAPER,
-            help="Show what --results holds so far; measure nothing but what --redo names.",
-        ),
-    ] = False,
-    figures: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DIR",
-            rich_help_panel=_PAPER,
-            help="Draw figures like the paper's 9 to 14 there, and write the tables as a page.",
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
-) -> None:
+def run_bench(asked: PlannerBenchOptions) -> None:
     """Plan missions with this planner and with the paper's method (through plain cvxpy), one after the other.
 
     Shows mission times against the bound that nothing can beat, processor times, and their ratios. By default every
     mission is planned under the paper's own problem: no minimum overlap, no range margin, no minimum tenure.
     Ends with 1 when a mission that has a plan got none.
     """
-    _check_combinations(locals())
-    from api.bench.planner import cases as bench_cases
-    from api.bench.planner import compare as bench_of
-    from api.bench.planner.scale import SEGMENTS, STATIONS
+    asked.check()
+    from api.bench.planner import SEGMENTS, STATIONS
 
-    options: dict[str, Any] | None = bench_cases.PAPER_OPTIONS
-    if default_options or as_given:
-        options = bench_cases.DEFAULT_OPTIONS if default_options else None
-    chains = _counts("--segments", segments, 2, 1000) or (SEGMENTS if everything else ())
-    maps = _counts("--routing", routing, 2, 1_000_000) or (STATIONS if everything else ())
-    chosen = [] if (chains or maps) and not everything and not costs else _cases(missions, quick, only, random, seed)
-    if paper:
-        from api.cli.bench.paper import run_paper, settings_of
-
-        run_paper(
-            chosen,
-            settings_of(time_limit, rival_limit),
-            results_file=results,
-            figures_directory=figures,
-            redo=redo or [],
-            kept_only=kept_only,
-            as_json=as_json,
-            guarded=_guarded,
-        )
+    chains = _counts("--segments", asked.segments, 2, 1000) or (SEGMENTS if asked.everything else ())
+    maps = _counts("--routing", asked.routing, 2, 1_000_000) or (STATIONS if asked.everything else ())
+    scale_alone = bool(chains or maps) and not asked.everything and not asked.costs
+    cases = [] if scale_alone else _cases(asked)
+    if asked.paper:
+        _bench_paper(asked, cases)
         return
-    if not ours_only and not bench_of.reference_available():
-        raise BadInputError(
-            "the reference is not installed",
-            {"what": "the paper's method runs through cvxpy", "fix": "pip install 'skyrelay[bench]', or --ours-only"},
-        )
-    bench_of.warm_up(reference=not ours_only)
-    document: dict[str, Any] = {}
-    with console.Progress(every_s=0.0) as progress:
-
-        def tell(text: str) -> None:
-            progress.show(text, now=True)
-
-        def plain(options: dict[str, Any] | None) -> dict[str, Any]:
-            measured = []
-            for number, case in enumerate(chosen, start=1):
-                tell(f"{number} of {len(chosen)}: {case.name}")
-                measured.append(_guarded(partial(bench_of.measure, case, options, reference=not ours_only), case.name))
-            return bench_of.figures(measured)
-
-        if everything or not (chains or maps or costs):
-            document |= plain(options)
-        if everything:
-            document["default_options"] = plain(bench_cases.DEFAULT_OPTIONS)
-        document |= _sections(chosen if costs or everything else [], chains, maps, seed, tell)
-    if as_json:
+    document = _measured(asked, cases, chains, maps)
+    if asked.as_json:
         typer.echo(json.dumps(document, indent=1, allow_nan=False))
     else:
         from api.cli.bench.tables import print_planner
@@ -209,11 +48,75 @@ def bench_planner(
         raise typer.Exit(1)
 
 
+bench_planner = command_of(PlannerBenchOptions, run_bench)
+
+
+# -- what is measured ----------------------------------------------------------------------------------------------
+
+
+def _bench_paper(asked: PlannerBenchOptions, cases: Sequence[Case]) -> None:
+    from api.cli.bench.paper import run_paper, settings_of
+
+    run_paper(
+        cases,
+        settings_of(asked.time_limit, asked.rival_limit),
+        results_file=asked.results,
+        figures_directory=asked.figures,
+        redo=asked.redo or [],
+        kept_only=asked.kept_only,
+        as_json=asked.as_json,
+        guarded=_guarded,
+    )
+
+
+def _measured(
+    asked: PlannerBenchOptions, cases: Sequence[Case], chains: Sequence[int], maps: Sequence[int]
+) -> dict[str, Any]:
+    """Every part of the figures asked for. Raises `BadInputError` where the reference is asked for and not there."""
+    from api.bench.planner import DEFAULT_OPTIONS, PAPER_OPTIONS, compare
+
+    reference = not asked.ours_only
+    if reference and not compare.reference_available():
+        raise BadInputError(
+            "the reference is not installed",
+            {"what": "the paper's method runs through cvxpy", "fix": "pip install 'skyrelay[bench]', or --ours-only"},
+        )
+    compare.warm_up(reference=reference)
+    options: dict[str, Any] | None = PAPER_OPTIONS
+    if asked.default_options or asked.as_given:
+        options = DEFAULT_OPTIONS if asked.default_options else None
+    document: dict[str, Any] = {}
+    with console.Progress(every_s=0.0) as progress:
+
+        def tell(text: str) -> None:
+            progress.show(text, now=True)
+
+        if asked.everything or not (chains or maps or asked.costs):
+            document |= _planned(cases, options, reference, tell)
+        if asked.everything:
+            document["default_options"] = _planned(cases, DEFAULT_OPTIONS, reference, tell)
+        for_costs = cases if asked.costs or asked.everything else []
+        document |= _sections(for_costs, chains, maps, asked.seed, tell)
+    return document
+
+
+def _planned(
+    cases: Sequence[Case], options: dict[str, Any] | None, reference: bool, tell: Callable[[str], None]
+) -> dict[str, Any]:
+    """Each mission planned, with ``options`` in place of its own unless None; beside the paper's if ``reference``."""
+    from api.bench.planner import figures, measure
+
+    results = []
+    for number, case in enumerate(cases, start=1):
+        tell(f"{number} of {len(cases)}: {case.name}")
+        results.append(_guarded(partial(measure, case, options, reference=reference), case.name))
+    return figures(results)
+
+
 def _sections(
     for_costs: Sequence[Case], chains: Sequence[int], maps: Sequence[int], seed: int, tell: Callable[[str], None]
 ) -> dict[str, Any]:
-    from api.bench.planner.costs import measure_costs
-    from api.bench.planner.scale import routing_row, segments_row
+    from api.bench.planner import measure_costs, routing_row, segments_row
 
     found: dict[str, Any] = {}
     if chains:
@@ -234,46 +137,6 @@ def _sections(
 # -- what was asked for --------------------------------------------------------------------------------------------
 
 
-def _check_combinations(given: dict[str, Any]) -> None:
-    """Refuse options that say two things at once, or nothing where they stand."""
-    names = {
-        "--missions": "missions",
-        "--random": "random",
-        "--quick": "quick",
-        "--as-given": "as_given",
-        "--default-options": "default_options",
-        "--ours-only": "ours_only",
-        "--segments": "segments",
-        "--routing": "routing",
-        "--costs": "costs",
-        "--all": "everything",
-        "--paper": "paper",
-        "--time-limit": "time_limit",
-        "--rival-limit": "rival_limit",
-        "--results": "results",
-        "--redo": "redo",
-        "--kept-only": "kept_only",
-        "--figures": "figures",
-    }
-    said = {option for option, name in names.items() if given[name] not in (None, False, 0, [])}
-    of_paper = ("--time-limit", "--rival-limit", "--results", "--redo", "--kept-only", "--figures")
-    for option in of_paper:
-        if given[names[option]] not in (None, False) and "--paper" not in said:
-            raise BadInputError(f"{option} goes with --paper", {"where": option, "fix": "add --paper, or leave it out"})
-    clashes = [
-        ("--missions", ("--random",)),
-        ("--quick", ("--random",)),
-        ("--as-given", ("--default-options", "--all", "--paper", "--costs", "--segments", "--routing")),
-        ("--default-options", ("--all", "--paper", "--costs", "--segments", "--routing")),
-        ("--paper", ("--all", "--costs", "--segments", "--routing", "--ours-only")),
-        ("--ours-only", ("--costs", "--segments", "--routing")),
-    ]
-    for one, others in clashes:
-        for other in others:
-            if one in said and other in said:
-                raise BadInputError(f"{one} and {other} do not go together", {"fix": "leave one of them out"})
-
-
 def _counts(where: str, text: str | None, low: int, high: int) -> tuple[int, ...]:
     """Numbers of a comma-separated list. Raises `BadInputError`."""
     if text is None:
@@ -287,17 +150,17 @@ def _counts(where: str, text: str | None, low: int, high: int) -> tuple[int, ...
     return tuple(int(part) for part in parts)
 
 
-def _cases(missions: str | None, quick: bool, only: list[str] | None, random: int, seed: int) -> list[Case]:
-    from api.bench.planner.cases import drawn, fixed
+def _cases(asked: PlannerBenchOptions) -> list[Case]:
+    from api.bench.planner import drawn, fixed
 
-    cases = drawn(random, seed) if random else fixed(_documents(missions), quick=quick)
+    cases = drawn(asked.random, asked.seed) if asked.random else fixed(_documents(asked.missions), quick=asked.quick)
     known = {case.name for case in cases}
-    for name in only or []:
+    for name in asked.only or []:
         if name not in known:
             raise BadInputError(
                 "there is no such mission", {"where": "--only", "value": name, "allowed": ", ".join(sorted(known))}
             )
-    return [case for case in cases if not only or case.name in only]
+    return [case for case in cases if not asked.only or case.name in asked.only]
 
 
 def _documents(directory: str | None) -> list[tuple[str, Any]]:

@@ -1,1 +1,1 @@
-"""The commands, a file each."""
+"""The commands, a file each: plan, handovers, setpoints, fly, flight, simulate, report, serve."""

@@ -1,4 +1,4 @@
-"""``skyrelay flight``: words to a flight that runs in the service: hold, resume, abort, land, replan, accept."""
+"""``skyrelay flight``: operator commands to a flight of the service: hold, resume, abort, land, replan, accept."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 from api.cli.errors import BadInputError, InfeasibleError
 
 if TYPE_CHECKING:
-    from api.cli.rest_client import Service
+    from api.cli.rest_client import ServiceClient
 
 _FRAMES = (("lat_deg", "lon_deg", "alt_amsl_m"), ("east_m", "north_m", "up_m"))
 
@@ -26,11 +26,11 @@ def flight(
     flight_id: Annotated[
         str | None, typer.Argument(metavar="[FLIGHT]", help="Its id; left out, the flights under way are listed.")
     ] = None,
-    word: Annotated[
+    command: Annotated[
         Literal["look", "hold", "resume", "abort", "land", "replan", "accept"],
         typer.Argument(
-            help="look: where it is; hold: stop on the path; resume: go on; abort: the contingency in force; land: at "
-            "once, wherever that is; replan: propose a plan from here; accept: fly the plan proposed."
+            help="look: where it is; hold: stop on the path; resume: go on; abort: the contingency procedure in force; "
+            "land: at once, wherever that is; replan: propose a plan from here; accept: fly the plan proposed."
         ),
     ] = "look",
     service: Annotated[
@@ -49,22 +49,22 @@ def flight(
     plan_sha256: Annotated[
         str | None, typer.Option("--plan", metavar="SHA256", help="accept: the hash of the plan proposed.")
     ] = None,
-    by: Annotated[str | None, typer.Option(metavar="NAME", help="Who says so, for the record.")] = None,
+    by: Annotated[str | None, typer.Option(metavar="NAME", help="Who commands it, for the record.")] = None,
     reason: Annotated[str | None, typer.Option(metavar="TEXT", help="Why, for the record.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer.")] = False,
 ) -> None:
-    """Speak to a flight that runs in the service: look at it, hold it, let it go on, end it, plan it anew.
+    """Look at a flight that runs in the service, and command it: hold it, let it go on, end it, plan it anew.
 
     A plan proposed changes nothing until it is accepted: `skyrelay flight ID replan`, then `accept --plan SHA256`.
     """
-    from api.cli.rest_client import RefusedError, Service
+    from api.cli.rest_client import RefusedError, ServiceClient
 
-    speaker = Service(service.rstrip("/") + "/")
+    client = ServiceClient(service.rstrip("/") + "/")
     try:
         answer, text = _asked(
-            speaker,
+            client,
             flight_id,
-            word,
+            command,
             {"by": by, "reason": reason},
             destination=destination,
             exclude=exclude,
@@ -77,10 +77,10 @@ def flight(
 
 
 def _asked(
-    service: Service,
+    service: ServiceClient,
     flight_id: str | None,
-    word: str,
-    said: Mapping[str, Any],
+    command: str,
+    given: Mapping[str, Any],
     *,
     destination: str | None,
     exclude: list[str] | None,
@@ -88,32 +88,33 @@ def _asked(
     plan_sha256: str | None,
 ) -> tuple[Any, str]:
     """The service's answer, and what it is in words. Raises `api.cli.rest_client.RefusedError`, `BadInputError`."""
+    from api.cli.commands.flight_view import state_text
+
     if flight_id is None:
         flights = service.call("GET", "v1/flights?active=true&limit=200")
-        lines = [f"{f['id']}  {f['phase']:<12} vehicle {f['vehicle_id']}" for f in flights["items"]]
+        lines = [f"{f['id']}  {state_text(f['phase']):<12} vehicle {f['vehicle_id']}" for f in flights["items"]]
         return flights, "\n".join(lines) or "no flight is under way"
     address = f"v1/flights/{quote(flight_id, safe='')}"
-    if word == "replan":
-        wish: dict[str, Any] = {**said, "ahead_s": ahead_s}
+    if command == "replan":
+        body: dict[str, Any] = {**given, "ahead_s": ahead_s}
         if destination is not None:
             frame = service.call("GET", f"{address}/plan")["mission"]["destination"]
-            wish["destination"] = _place(destination, frame)
+            body["destination"] = _place(destination, frame)
         if exclude:
-            wish["excluded_stations"] = exclude
-        proposal = service.call("POST", f"{address}/replan", wish)
+            body["excluded_stations"] = exclude
+        proposal = service.call("POST", f"{address}/replan", body)
         return proposal, _proposed(flight_id, proposal)
-    if word == "accept":
+    if command == "accept":
         if plan_sha256 is None:
             raise BadInputError(
                 "which plan is accepted?",
                 {"where": "--plan", "fix": f"ask for one with `skyrelay flight {flight_id} replan`, and give its hash"},
             )
-        body = {**said, "plan_sha256": plan_sha256}
-        answer = service.call("POST", f"{address}/replan/accept", body)
-    elif word == "look":
+        answer = service.call("POST", f"{address}/replan/accept", {**given, "plan_sha256": plan_sha256})
+    elif command == "look":
         answer = service.call("GET", address)
     else:
-        answer = service.call("POST", f"{address}/{word}", dict(said))
+        answer = service.call("POST", f"{address}/{command}", dict(given))
     return answer, _shown(answer)
 
 
@@ -132,10 +133,10 @@ def _place(text: str, frame: Mapping[str, Any]) -> dict[str, float]:
 
 def _shown(answer: Mapping[str, Any]) -> str:
     """A flight now, in a line or two."""
-    from api.cli.commands.flight_view import clock
+    from api.cli.commands.flight_view import clock, state_text
 
     live = answer["live"]
-    parts = [str(answer["phase"])]
+    parts = [state_text(answer["phase"])]
     if live["t_plus_s"] is not None:
         parts.append(f"T+ {clock(live['t_plus_s'])}")
     if live["station"] is not None:

@@ -17,11 +17,20 @@ _WORTH_TELLING = {"released", "late", "failed", "timed_out", "refused"}
 _ON_THE_PATH = {"transit", "cruise", "holding", "returning"}
 _DONE = {
     "released": "done",
-    "late": "LATE: the next station is not ready",
+    "late": "LATE: the receiving station is not ready",
     "failed": "FAILED: the vehicle said no",
     "timed_out": "TIMED OUT: no evidence from the vehicle",
-    "refused": "REFUSED by an operator",
+    "refused": "REFUSED by the crew of a station",
 }
+
+
+# States by the name the field has for them, where ours is shorter.
+_STATE_TEXTS = {"lapsed": "lost C2 link", "contingency": "contingency procedure"}
+
+
+def state_text(state: object) -> str:
+    """A flight's state, as people read it."""
+    return _STATE_TEXTS.get(str(state), str(state))
 
 
 def clock(seconds: float) -> str:
@@ -59,12 +68,12 @@ class FlightView:
         station = Sender.from_text(str(data.get("station") or "nobody")).station_id
         parts = [f"{station} in control"]
         if t_plus_s is None:
-            parts.append(state)
+            parts.append(state_text(state))
         else:
             whole = f" of {clock(self._plan_time_s)}" if t_plus_s <= self._plan_time_s else ""
             parts.append(f"T+ {clock(t_plus_s)}{whole}")
             if state != "cruise":
-                parts.append(state)
+                parts.append(state_text(state))
         if data.get("speed_m_s") is not None:
             parts.append(f"{data['speed_m_s']:.1f} m/s")
         if data.get("error_m") is not None and state in _ON_THE_PATH:
@@ -85,7 +94,8 @@ class FlightView:
             if data["to"] == "refused" and self.failed_checks:
                 # Every one of them has its own line, and they are told again at the end.
                 return "refused: the preflight failed"
-            return f"{data['to']} ({self.reason})" if self.reason else str(data["to"])
+            to = state_text(data["to"])
+            return f"{to} ({self.reason})" if self.reason else to
         if kind == "check" and data["level"] != "pass":
             required = f"; required: {data['required']}" if data.get("required") else ""
             if data["level"] != "warning":
@@ -109,7 +119,7 @@ class FlightView:
         if kind == "text":
             return f"vehicle says: {data['text']}"
         if kind == "word":
-            return f"word: {data['word']}"
+            return f"operator command: {data['word']}"
         return None
 
 
@@ -134,7 +144,7 @@ def result_lines(plan: Plan, result: FlightResult, log: str | None = None) -> li
     summary = result.summary
     completed = result.exit_code == 0
     reason = f": {result.reason}" if result.reason and not completed else ""
-    lines = [f"flight report: {'arrived, flown as planned' if completed else result.state.value + reason}"]
+    lines = [f"flight report: {'arrived, flown as planned' if completed else state_text(result.state.value) + reason}"]
     flown = summary.get("flown_s")
     if flown is not None:
         lines.append(

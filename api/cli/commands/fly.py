@@ -9,6 +9,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,6 +18,7 @@ import typer
 from api.cli import inputs
 from api.cli.console import Progress
 from api.cli.errors import BadInputError, ContingencyError, FaultError, Terminated, faults_as_paragraphs
+from api.cli.options import command_of
 
 if TYPE_CHECKING:
     from api.cli.commands.flight_view import FlightView
@@ -33,75 +35,84 @@ def register(app: typer.Typer, panel: str) -> None:
     app.command("fly", rich_help_panel=panel)(fly)
 
 
-def fly(
-    plan_file: Annotated[str, typer.Argument(metavar="PLAN.json", help="The plan; - is standard input.")],
-    autopilot: Annotated[Literal["px4", "ardupilot"], typer.Option(help="What flies the vehicle.")],
+@dataclass(frozen=True)
+class FlyOptions:
+    """What the command is given."""
+
+    plan_file: Annotated[str, typer.Argument(metavar="PLAN.json", help="The plan; - is standard input.")]
+    autopilot: Annotated[Literal["px4", "ardupilot"], typer.Option(help="What flies the vehicle.")]
     link: Annotated[
         list[str],
         typer.Option(
             metavar="[ID=]URL",
-            help="How a station reaches the vehicle; repeat it for each station, or give one URL without ID for all. "
+            help="A station's C2 link to the vehicle; repeat it for each station, or give one URL without ID for all. "
             "Repeated for one station: all are listened to, and one sends until it fails. "
             "udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.",
         ),
-    ],
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Setpoints a second, 5 to 100.")] = 20.0,
+    ]
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Setpoints a second, 5 to 100.")] = 20.0
     speedup: Annotated[
         float, typer.Option(metavar="X", help="Fly X times as fast: our simulator at that factor, loopback links only.")
-    ] = 1.0,
-    log: Annotated[str | None, typer.Option(metavar="FILE.tlog", help="Keep every frame sent and heard.")] = None,
+    ] = 1.0
+    log: Annotated[str | None, typer.Option(metavar="FILE.tlog", help="Keep every frame sent and heard.")] = None
     set_parameters: Annotated[
         Literal["auto", "yes", "no"],
         typer.Option(help="Whether unsafe failsafe parameters are set on the vehicle; auto: on our simulator alone."),
-    ] = "auto",
+    ] = "auto"
     handover_way: Annotated[
         Literal["auto", "gate", "range", "parameter", "operator_control"],
         typer.Option(
             help="How the vehicle is told of a handover; parameter: ArduPilot hears one station at a time and is told "
             "of each (before 4.7 the only way with several)."
         ),
-    ] = "auto",
+    ] = "auto"
     rally: Annotated[
         bool,
         typer.Option("--rally/--no-rally", help="Upload the mission's safe points as rally points for the flight."),
-    ] = True,
+    ] = True
     fence: Annotated[
-        bool, typer.Option("--fence", help="Lay a fence around the plan and every straight way home, for the flight.")
-    ] = False,
+        bool,
+        typer.Option("--fence", help="Lay a geofence around the plan and every straight way home, for the flight."),
+    ] = False
     signing_key: Annotated[
         str | None, typer.Option(metavar="file:PATH|env:NAME", help="Sign every frame with this 32-byte key.")
-    ] = None,
+    ] = None
     allow_unsigned: Annotated[
         bool, typer.Option("--allow-unsigned", help="Fly without signing over links that leave this machine.")
-    ] = False,
+    ] = False
     as_json: Annotated[
         bool, typer.Option("--json", help="Print every event as a line of JSON instead of the report.")
-    ] = False,
-) -> int:
+    ] = False
+
+
+def run_fly(given: FlyOptions) -> int:
     """Fly a plan: preflight, arm, take off, follow the plan, hand over from station to station, land.
 
-    Ctrl-C in the air asks for the contingency in force; a second one lets go of the vehicle, whose own failsafe then
-    acts. Ends with 4 when the flight did not end as planned.
+    Ctrl-C in the air asks for the contingency procedure in force; a second one lets go of the vehicle, whose own
+    failsafe then acts. Ends with 4 when the flight did not end as planned.
     """
-    plan = inputs.plan(plan_file)
+    plan = inputs.plan(given.plan_file)
     request = request_of(
         plan,
-        links=links_of(plan, link),
-        autopilot=autopilot,
-        rate_hz=rate,
-        speedup=speedup,
-        log_path=log,
-        set_parameters=set_parameters,
-        handover_way=handover_way,
-        rally=rally,
-        lay_geofence=fence,
-        signing_key=signing_key,
-        allow_unsigned=allow_unsigned,
+        links=links_of(plan, given.link),
+        autopilot=given.autopilot,
+        rate_hz=given.rate,
+        speedup=given.speedup,
+        log_path=given.log,
+        set_parameters=given.set_parameters,
+        handover_way=given.handover_way,
+        rally=given.rally,
+        lay_geofence=given.fence,
+        signing_key=given.signing_key,
+        allow_unsigned=given.allow_unsigned,
     )
     with Progress() as progress:
-        result, view = run(plan, request, progress, as_json=as_json)
-    conclude(plan, result, view, log=log, as_json=as_json)
+        result, view = run(plan, request, progress, as_json=given.as_json)
+    conclude(plan, result, view, log=given.log, as_json=given.as_json)
     return 0
+
+
+fly = command_of(FlyOptions, run_fly)
 
 
 def links_of(plan: Plan, given: list[str]) -> dict[str, list[str]]:
@@ -212,7 +223,7 @@ def held(flight: RunningFlight, progress: Progress) -> Iterator[None]:
 
 
 def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
-    """Until the flight ends. The first Ctrl-C (or SIGTERM) in the air is the word `abort`; any other ends this."""
+    """Until the flight ends. The first Ctrl-C (or SIGTERM) in the air commands `abort`; any other ends this."""
     from gcs.flight import TransitionError
 
     asked = False
@@ -228,7 +239,7 @@ def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
             if asked or dropped or event is None or not event.state.airborne:
                 raise
             asked = True
-            progress.note("flying the contingency; Ctrl-C again lets go of the vehicle")
+            progress.note("flying the contingency procedure; Ctrl-C again lets go of the vehicle")
             try:
                 flight.command("abort", by="Ctrl-C")
             except TransitionError as refusal:
@@ -244,7 +255,7 @@ def conclude(
     as_json: bool = False,
 ) -> None:
     """Print the report; raises `ContingencyError` or `FaultError` where the flight did not end as planned."""
-    from api.cli.commands.flight_view import result_lines
+    from api.cli.commands.flight_view import result_lines, state_text
 
     if result.exit_code == 1:
         raise FaultError("the flight ended by a fault of ours", {"what": result.reason})
@@ -267,12 +278,12 @@ def conclude(
         raise ContingencyError(
             "the flight was refused before take-off", *(paragraphs or [{"what": view.reason or result.reason}])
         )
-    raise ContingencyError(f"the flight ended in {result.state}", {"what": view.reason, "report": report})
+    raise ContingencyError(f"the flight ended in {state_text(result.state)}", {"what": view.reason, "report": report})
 
 
 def _fix(plan: Plan, check: Mapping[str, Any]) -> str | None:
     """What to do about a finding of the preflight, in terms of the command line."""
-    from api.processes.simulator import home_under
+    from api.processes import home_under
 
     if check["name"] == "transit":
         return f"{check.get('fix')}; a simulator is put there with --home {home_under(plan)}"

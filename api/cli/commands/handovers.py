@@ -1,4 +1,4 @@
-"""``skyrelay handovers``: the schedule for the people at the stations."""
+"""``skyrelay handovers``: the schedule for the crews of the remote pilot stations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ def register(app: typer.Typer, panel: str) -> None:
 def handovers(
     plan_file: Annotated[str, typer.Argument(metavar="PLAN.json", help="The plan; - is standard input.")],
     file_format: Annotated[str, typer.Option("--format", metavar="FORMAT", help="table, json or csv.")] = "table",
-    station: Annotated[str | None, typer.Option(metavar="ID", help="Only what this station gives and takes.")] = None,
+    station: Annotated[
+        str | None, typer.Option(metavar="ID", help="Only the handovers this station transfers or receives.")
+    ] = None,
     launch: Annotated[
         str | None,
         typer.Option(metavar="UTC", help="Time of T+0, e.g. 2026-11-22T09:00:00Z: times are given in UTC too."),

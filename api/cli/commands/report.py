@@ -24,7 +24,7 @@ def report(
         typer.Option(
             metavar="EVENTS.jsonl",
             help="The flight's events, a line each (the service keeps them beside the log; `fly --json` prints them): "
-            "adds how often another way of a station came to send, and the streamer's own count of lateness.",
+            "adds how often another link path of a station came to send, and the streamer's own count of lateness.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,

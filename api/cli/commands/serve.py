@@ -64,10 +64,10 @@ def serve(
     settings = inputs.settings(data_dir=data_dir, log_style=log_style, log_level=log_level)
     with listen(host, port) as listener:
         _check_store(settings)
-        from api.rest.app import create_app
-        from api.service import logs
+        from api.rest import create_app
+        from api.service import configure_logging
 
-        logs.configure(settings.log_style, settings.log_level)
+        configure_logging(settings.log_style, settings.log_level)
         run(create_app(settings), listener)
 
 

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import typer
 
-from api.processes.children import python_module
+from api.processes import python_module
 
 
 def register(app: typer.Typer, panel: str) -> None:

@@ -14,16 +14,14 @@ from api.cli import inputs
 from api.cli.commands import fly
 from api.cli.commands.plan import overview
 from api.cli.console import Progress
+from api.cli.demo import story
 from api.cli.errors import BadInputError, FaultError
-from api.processes import simulator
-from api.processes.children import Children
+from api.processes import QUICK_MISSION, Children, start_simulator
 
 if TYPE_CHECKING:
     from api.cli.commands.flight_view import FlightView
     from gcs.plan import Plan
     from link.streamer import FlightResult
-from api.cli.demo.story import ATTEMPTS, AUTOPILOT, FLIGHT_WALL_S, QUICK_WALL_S, Pace, closing, say, too_fast
-from api.processes.quick_mission import QUICK_MISSION
 
 
 def register(app: typer.Typer, panel: str) -> None:
@@ -54,7 +52,7 @@ def demo(
     document = _document(mission_file, quick)
     # Malformed missions are met before anything is started.
     inputs.mission(document, mission_file or "demonstration")
-    wall_s = QUICK_WALL_S if quick else FLIGHT_WALL_S
+    wall_s = story.QUICK_WALL_S if quick else story.FLIGHT_WALL_S
     if serve:
         from api.cli.demo import through_service
 
@@ -79,34 +77,34 @@ def _by_itself(document: Any, name: str, wall_s: float) -> None:
     from gcs.planning import plan_mission
 
     mission = inputs.mission(document, name)
-    say(f"1. Planning: {mission.name}, {len(mission.stations)} stations to choose from")
+    story.say(f"1. Planning: {mission.name}, {len(mission.stations)} stations to choose from")
     try:
         plan = plan_mission(mission)
     except MissionInfeasible as error:
         raise inputs.infeasible(error) from None
     except PlanningFailed as error:
         raise FaultError("the planner gave up", {"what": str(error)}) from None
-    say(f"\n{overview(plan)}")
-    pace = Pace.of(plan.mission_time_s, wall_s)
+    story.say(f"\n{overview(plan)}")
     with tempfile.TemporaryDirectory(prefix="skyrelay-demo-") as folder, Children() as children:
-        for attempt in range(1, ATTEMPTS + 1):
-            log = Path(folder) / f"flight-{attempt}.tlog"
-            result, view = _attempt(plan, children, pace, str(log))
-            if result.exit_code == 0 or attempt == ATTEMPTS or pace.speedup <= 1.0:
-                break
-            say(f"\n{too_fast(pace)}")
-            pace = pace.slower()
-        say()
+
+        def attempt(pace: story.Pace, number: int) -> tuple[FlightResult, FlightView, Path]:
+            log = Path(folder) / f"flight-{number}.tlog"
+            return (*_attempt(plan, children, pace, str(log)), log)
+
+        pace = story.Pace.of(plan.mission_time_s, wall_s)
+        result, view, log = story.fly_until_arrival(pace, attempt, lambda flown: flown[0].exit_code == 0)
+        story.say()
         fly.conclude(plan, result, view)
         _planned_against_flown(plan, log)
-    say(f"\nArrived. {closing(plan)}")
+    story.say(f"\nArrived. {story.closing(plan)}")
 
 
-def _attempt(plan: Plan, children: Children, pace: Pace, log: str) -> tuple[FlightResult, FlightView]:
-    say(f"2. Flying it: a simulated {AUTOPILOT} vehicle, {pace.speedup:.0f} times as fast as real, a link a station")
-    child, links = simulator.start(children, plan, autopilot=AUTOPILOT, speedup=pace.speedup)
+def _attempt(plan: Plan, children: Children, pace: story.Pace, log: str) -> tuple[FlightResult, FlightView]:
+    how = f"a simulated {story.AUTOPILOT} vehicle, {pace.speedup:.0f} times as fast as real, a link a station"
+    story.say(f"2. Flying it: {how}")
+    child, links = start_simulator(children, plan, autopilot=story.AUTOPILOT, speedup=pace.speedup)
     request = fly.request_of(
-        plan, links=links, autopilot=AUTOPILOT, rate_hz=pace.rate_hz, speedup=pace.speedup, log_path=log
+        plan, links=links, autopilot=story.AUTOPILOT, rate_hz=pace.rate_hz, speedup=pace.speedup, log_path=log
     )
     # A station's time in control must not fall between two lines: about twenty for a flight, one a second at most.
     wall_s = plan.mission_time_s / pace.speedup
@@ -125,5 +123,5 @@ def _planned_against_flown(plan: Plan, log: Path) -> None:
         report = report_flight(log, plan)
     except LinkError as error:
         raise FaultError("the flight's log cannot be read", {"what": str(error)}) from None
-    say("\n3. Planned against flown, from the log alone\n")
+    story.say("\n3. Planned against flown, from the log alone\n")
     typer.echo(report.to_text(), nl=False)

@@ -17,9 +17,8 @@ from api.cli.commands.plan import overview
 from api.cli.console import Progress
 from api.cli.demo import story
 from api.cli.errors import BadInputError, FaultError, InfeasibleError
-from api.cli.rest_client import RefusedError, Service
-from api.processes import simulator
-from api.processes.children import Children, python_module
+from api.cli.rest_client import RefusedError, ServiceClient
+from api.processes import Children, python_module, start_simulator
 
 if TYPE_CHECKING:
     from gcs.plan import Plan
@@ -44,13 +43,11 @@ def run(document: Any, wall_s: float) -> None:
         plan = _fetch(service, mission["id"])
         story.say(f"\n{overview(plan)}")
         story.say(f"On the map: {service.address}#mission/{mission['id']}\n")
-        pace = story.Pace.of(plan.mission_time_s, wall_s)
-        for attempt in range(1, story.ATTEMPTS + 1):
-            flight = _fly(service, children, plan, mission["id"], pace)
-            if flight["state"] == "completed" or attempt == story.ATTEMPTS or pace.speedup <= 1.0:
-                break
-            story.say(f"\n{story.too_fast(pace)}")
-            pace = pace.slower()
+        flight = story.fly_until_arrival(
+            story.Pace.of(plan.mission_time_s, wall_s),
+            lambda pace, _: _fly(service, children, plan, mission["id"], pace),
+            lambda flown: flown["state"] == "completed",
+        )
         story.say(_report(plan, flight))
         if flight["state"] == "completed":
             story.say(f"\nArrived. {story.closing(plan)}")
@@ -63,15 +60,17 @@ def _stay(children: Children) -> None:
         children.sleep(3600.0)
 
 
-def _start(children: Children, folder: Path) -> Service:
+def _start(children: Children, folder: Path) -> ServiceClient:
     port = _free_port()
-    environment = {**story.environment(), "SKYRELAY_DATA_DIR": str(folder)}
+    # The environment as it is, without settings of ours that somebody has set for another service.
+    others = {name: value for name, value in os.environ.items() if not name.startswith("SKYRELAY_")}
+    environment = {**others, "SKYRELAY_DATA_DIR": str(folder)}
     child = children.start(
         "service",
         python_module("api.cli", "serve", f"--port={port}", "--log-level=warning"),
         env=environment,
     )
-    service = Service(f"http://127.0.0.1:{port}/")
+    service = ServiceClient(f"http://127.0.0.1:{port}/")
     deadline = time.monotonic() + _START_S
     while not service.ready():
         child.check()
@@ -94,7 +93,7 @@ def _free_port() -> int:
     raise FaultError("no TCP port can be had on 127.0.0.1")
 
 
-def _plan(service: Service, document: Any) -> dict[str, Any]:
+def _plan(service: ServiceClient, document: Any) -> dict[str, Any]:
     story.say(f"1. Planning: POST {service.address}v1/missions")
     try:
         mission = service.call("POST", "v1/missions", document)
@@ -117,16 +116,16 @@ def _plan(service: Service, document: Any) -> dict[str, Any]:
     return dict(mission)
 
 
-def _fetch(service: Service, mission_id: str) -> Plan:
-    from gcs.plan import Plan
+def _fetch(service: ServiceClient, mission_id: str) -> Plan:
+    from gcs.plan import read_plan
 
-    return Plan.from_document(service.call("GET", f"v1/missions/{mission_id}/plan"))
+    return read_plan(service.call("GET", f"v1/missions/{mission_id}/plan"))
 
 
-def _fly(service: Service, children: Children, plan: Plan, mission_id: str, pace: story.Pace) -> dict[str, Any]:
+def _fly(service: ServiceClient, children: Children, plan: Plan, mission_id: str, pace: story.Pace) -> dict[str, Any]:
     """One flight by REST, from the vehicle's entry in the registry to its end; the flight as the service shows it."""
     story.say(f"2. Flying it by REST: a simulated {story.AUTOPILOT} vehicle, {pace.speedup:.0f} times as fast as real")
-    child, urls = simulator.start(children, plan, autopilot=story.AUTOPILOT, speedup=pace.speedup)
+    child, urls = start_simulator(children, plan, autopilot=story.AUTOPILOT, speedup=pace.speedup)
     for station, url in urls.items():
         service.call("PUT", f"v1/links/{quote(station)}", {"url": url, "description": "simulated radio"})
     vehicle = {"autopilot": story.AUTOPILOT, "links": {s: s for s in urls}, "name": "Simulated medical drone"}
@@ -159,12 +158,12 @@ def _fly(service: Service, children: Children, plan: Plan, mission_id: str, pace
             last = flight["ended_utc"] is not None
             if not launched and flight["phase"] == "ready":
                 launched = True
-                word = {
+                command = {
                     "plan_sha256": plan.plan_sha256,
                     "preflight_id": flight["preflight"]["id"],
                     "by": "skyrelay demo",
                 }
-                service.call("POST", f"{address}/launch", word)
+                service.call("POST", f"{address}/launch", command)
             live = flight["live"]
             if live["station"] is not None:
                 ahead = [live["next_handover"]] if live["next_handover"] else []

@@ -1,1 +1,1 @@
-"""What a machine or a vehicle has and lacks."""
+"""``skyrelay doctor``: what this machine, or a vehicle, has and lacks."""

@@ -17,12 +17,14 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 import typer
 
 from api.cli import inputs
 from api.cli.errors import EXIT_FAULT
+from gcs.timestamps import utc_for_people
 
 Level = Literal["ok", "note", "warning", "failure"]
 
@@ -146,7 +148,7 @@ def _clock() -> Iterator[Finding]:
         return
     # struct timex, modes = 0: a read; the return value is the clock's state. 512 bytes is more than it needs.
     state = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512))
-    now = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())
+    now = utc_for_people(datetime.now(UTC))
     if state == _TIME_ERROR or state < 0:
         yield Finding(
             "clock",

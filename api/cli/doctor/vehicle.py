@@ -113,11 +113,17 @@ def _judge(system: Any, url: str) -> tuple[AutopilotProfile, dict[str, Any], lis
 
     kind = system.autopilot_type().name.lower()
     if kind not in PROFILES:
-        what = f"its autopilot is {kind}"
+        what, allowed = f"its autopilot is {kind}", ", ".join(known.title for known in PROFILES.values())
         fix = "fly a vehicle with one of those"
         raise BadInputError(
             "the vehicle's autopilot is not known here",
-            {"where": "--vehicle", "value": url, "what": what, "allowed": "PX4, ArduPilot", "fix": fix},
+            {
+                "where": "--vehicle",
+                "value": url,
+                "what": what,
+                "allowed": allowed,
+                "fix": fix,
+            },
         )
     profile = PROFILES[kind]
     identity, vehicle_type = _identity(system)

@@ -1,1 +1,1 @@
-"""The service's routes, a file a resource."""
+"""The service's routes, a module a resource; what they share is in `shared`."""

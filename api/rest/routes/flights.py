@@ -1,4 +1,4 @@
-"""``/v1/flights``: a plan being flown, the operators' words to it, and its telemetry."""
+"""``/v1/flights``: a plan being flown, the operators' commands to it, and its telemetry."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from api.rest.problems import ApiError
 from api.rest.routes import shared
 from api.rest.routes.plans import planned
 from api.rest.routes.shared import Cursor, Limit, MissionId
-from api.service.flight_status import FlightFold, outer_state
-from api.service.services import Services
-from gcs.flight import Word
+from api.service import FlightStatus, Services, outer_state
+from gcs.flight import OperatorCommand
 from gcs.store import FlightRecord
 
 router = APIRouter(prefix="/v1/flights", tags=["flights"])
@@ -33,8 +32,8 @@ _RESULT_S = 2.0
 
 def shown(services: Services, record: FlightRecord, *, whole: bool) -> dict[str, Any]:
     """A flight as `schemas.FlightSummary`, or with everything known (``whole``) as `schemas.FlightDetail`."""
-    fold = services.desk.look(record.id) if whole else FlightFold(state=record.state)
-    state = fold.state if whole and fold.sequence else record.state
+    status = services.flights.look(record.id) if whole else FlightStatus(state=record.state)
+    state = status.state if whole and status.sequence else record.state
     body: dict[str, Any] = {
         "id": record.id,
         "mission_id": record.mission_id,
@@ -50,15 +49,15 @@ def shown(services: Services, record: FlightRecord, *, whole: bool) -> dict[str,
     if whole:
         body |= {
             "preflight": {
-                "id": fold.preflight_id,
-                "passed": fold.passed,
-                "age_s": services.desk.preflight_age_s(record.id),
-                "checks": fold.checks,
+                "id": status.preflight_id,
+                "passed": status.passed,
+                "age_s": services.flights.preflight_age_s(record.id),
+                "checks": status.checks,
             },
-            "live": fold.live(),
-            "handover_states": {str(index): state for index, state in sorted(fold.handovers.items())},
-            "alarms": fold.alarms,
-            "result": fold.result,
+            "live": status.live(),
+            "handover_states": {str(index): state for index, state in sorted(status.handovers.items())},
+            "alarms": status.alarms,
+            "result": status.result,
         }
     return body
 
@@ -70,14 +69,14 @@ def shown(services: Services, record: FlightRecord, *, whole: bool) -> dict[str,
     responses={201: {"model": schemas.FlightDetail, "description": "In preflight; nothing is armed."}},
 )
 def create(services: Wired, body: schemas.NewFlight) -> Response:
-    """Connects to the vehicle over its links and judges it: see `preflight` of the answer's address."""
+    """Connects to the vehicle over its C2 links and judges it: see `preflight` of the answer's address."""
     with shared.domain_errors():
         record = services.store.missions.get(body.mission_id, body.version)
         record = planned(services, body.mission_id, body.version)
         if record.plan_sha256 != body.plan_sha256:
             raise shared.conflict(f"the mission's plan is {record.plan_sha256}, not {body.plan_sha256}")
         options = body.model_dump(exclude={"mission_id", "plan_sha256", "vehicle_id", "version"}, exclude_none=True)
-        flight = services.desk.create(
+        flight = services.flights.create(
             services.plan_of(record),
             mission_id=record.id,
             version=record.version,
@@ -121,7 +120,7 @@ def events(
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="Sequence number of the last event known.")] = 0,
     limit: Annotated[int, Query(ge=1, le=1000)] = 200,
 ) -> schemas.FlightEvents:
-    """Events in order, append-only: states, checks, commands, handovers, words, alarms, now and then a position."""
+    """Events in order, append-only: states, checks, operator commands, handovers, alarms, now and then a position."""
     with shared.domain_errors():
         services.store.flights.get(flight_id)
         found = services.store.flights.events(flight_id, after=after, limit=limit)
@@ -129,46 +128,46 @@ def events(
 
 
 @router.post("/{flight_id}/launch", summary="Arm and go")
-def launch(services: Wired, flight_id: FlightId, body: schemas.LaunchWord) -> schemas.FlightDetail:
+def launch(services: Wired, flight_id: FlightId, body: schemas.LaunchCommand) -> schemas.FlightDetail:
     """Needs the plan's hash and a preflight that has passed and is under 60 s old."""
     with shared.domain_errors():
-        services.desk.launch(
+        services.flights.launch(
             flight_id, plan_sha256=body.plan_sha256, preflight_id=body.preflight_id, by=body.by or "REST"
         )
     return get_flight(services, flight_id)
 
 
-def _say(
-    services: Services, flight_id: str, word: Word, body: schemas.Said | None, **fields: Any
+def _command(
+    services: Services, flight_id: str, command: OperatorCommand, body: schemas.CommandBody | None, **fields: Any
 ) -> schemas.FlightDetail:
-    said = body or schemas.Said(by=None, reason=None)
+    given = body or schemas.CommandBody(by=None, reason=None)
     with shared.domain_errors():
-        services.desk.command(flight_id, word, by=said.by or "REST", reason=said.reason or "", **fields)
+        services.flights.command(flight_id, command, by=given.by or "REST", reason=given.reason or "", **fields)
     return get_flight(services, flight_id)
 
 
 @router.post("/{flight_id}/hold", summary="Stop on the path")
-def hold(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
+def hold(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
     """The stream goes on with zero velocity; the schedule shifts."""
-    return _say(services, flight_id, Word.HOLD, body)
+    return _command(services, flight_id, OperatorCommand.HOLD, body)
 
 
 @router.post("/{flight_id}/resume", summary="Go on after a hold")
-def resume(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
+def resume(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
     """Coverage is checked again and the schedule re-timed."""
-    return _say(services, flight_id, Word.RESUME, body)
+    return _command(services, flight_id, OperatorCommand.RESUME, body)
 
 
-@router.post("/{flight_id}/abort", summary="Fly the contingency in force")
-def abort(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
+@router.post("/{flight_id}/abort", summary="Fly the contingency procedure in force")
+def abort(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
     """On the ground: give the flight up."""
-    return _say(services, flight_id, Word.ABORT, body)
+    return _command(services, flight_id, OperatorCommand.ABORT, body)
 
 
 @router.post("/{flight_id}/land", summary="Land where the vehicle is")
-def land(services: Wired, flight_id: FlightId, body: schemas.Said | None = None) -> schemas.FlightDetail:
+def land(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
     """At once, wherever that is."""
-    return _say(services, flight_id, Word.LAND, body)
+    return _command(services, flight_id, OperatorCommand.LAND, body)
 
 
 def _flown_plan(services: Services, flight_id: str, plan_sha256: str) -> dict[str, Any]:
@@ -177,29 +176,29 @@ def _flown_plan(services: Services, flight_id: str, plan_sha256: str) -> dict[st
     if plan_sha256 == record.plan_sha256:
         mission = services.store.missions.get(record.mission_id, record.version)
         return dict(services.plan_of(mission).to_document())
-    return services.desk.replanned(flight_id, plan_sha256)
+    return services.flights.replanned(flight_id, plan_sha256)
 
 
 @router.post("/{flight_id}/replan", summary="Plan on from the present state")
-def replan(services: Wired, flight_id: FlightId, body: schemas.ReplanWish | None = None) -> schemas.ReplanProposal:
+def replan(services: Wired, flight_id: FlightId, body: schemas.ReplanRequest | None = None) -> schemas.ReplanProposal:
     """A new plan from where the flight stands, or from a moment ahead, for a person to accept; nothing changes yet.
 
     Flown from launch to the new end it is one plan: the part already flown, and the new one joined on without a jump.
     """
-    wish = body or schemas.ReplanWish.model_validate({})
+    asked = body or schemas.ReplanRequest.model_validate({})
     with shared.domain_errors():
         proposal = services.replanning.propose(
             flight_id,
             lambda sha256: _flown_plan(services, flight_id, sha256),
-            destination=wish.destination,
-            excluded_stations=wish.excluded_stations,
-            ahead_s=wish.ahead_s,
+            destination=asked.destination,
+            excluded_stations=asked.excluded_stations,
+            ahead_s=asked.ahead_s,
         )
     return schemas.ReplanProposal.model_validate(proposal.to_document())
 
 
 @router.post("/{flight_id}/replan/accept", summary="Fly a proposed plan")
-def accept_replan(services: Wired, flight_id: FlightId, body: schemas.ReplanWord) -> schemas.FlightDetail:
+def accept_replan(services: Wired, flight_id: FlightId, body: schemas.ReplanCommand) -> schemas.FlightDetail:
     """The streamer judges it once more; handovers and contingencies are those of the new plan from now on."""
     with shared.domain_errors():
         services.store.flights.get(flight_id)
@@ -216,32 +215,34 @@ def flown_plan(services: Wired, flight_id: FlightId) -> Response:
     """The mission's plan, or the last one the flight was given in the air."""
     with shared.domain_errors():
         record = services.store.flights.get(flight_id)
-        sha256 = services.desk.look(flight_id).plan_sha256 or record.plan_sha256
+        sha256 = services.flights.look(flight_id).plan_sha256 or record.plan_sha256
         return JSONResponse(_flown_plan(services, flight_id, sha256))
 
 
-@router.post("/{flight_id}/handovers/{index}/ready", summary="Stand by to take over")
+@router.post("/{flight_id}/handovers/{index}/ready", summary="Stand by to receive control")
 def ready(
-    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.CommandBody | None = None
 ) -> schemas.FlightDetail:
-    """The next station's operator stands by."""
-    return _say(services, flight_id, Word.READY, body, handover=index)
+    """The receiving station's crew stands by."""
+    return _command(services, flight_id, OperatorCommand.READY, body, handover=index)
 
 
 @router.post("/{flight_id}/handovers/{index}/accept", summary="Accept a handover")
 def accept(
-    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.CommandBody | None = None
 ) -> schemas.FlightDetail:
     """As `ready`, and takes a refusal back."""
-    return _say(services, flight_id, Word.ACCEPT, body, handover=index)
+    return _command(services, flight_id, OperatorCommand.ACCEPT, body, handover=index)
 
 
 @router.post("/{flight_id}/handovers/{index}/refuse", summary="Refuse a handover")
 def refuse(
-    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.Said | None = None
+    services: Wired, flight_id: FlightId, index: HandoverIndex, body: schemas.CommandBody | None = None
 ) -> schemas.FlightDetail:
-    """The present station stays in control; the flight waits before the next range, and then flies the contingency."""
-    return _say(services, flight_id, Word.REFUSE, body, handover=index)
+    """The transferring station stays in control; the flight waits before the next range, then flies the contingency
+    procedure.
+    """
+    return _command(services, flight_id, OperatorCommand.REFUSE, body, handover=index)
 
 
 @router.websocket("/{flight_id}/telemetry")
@@ -249,14 +250,14 @@ async def telemetry(socket: WebSocket, flight_id: MissionId) -> None:
     """The live state (`live` of a flight) as JSON: now, and whenever it changes, until the flight ends."""
     services = services_of(socket)
 
-    def look() -> FlightFold:
+    def look() -> FlightStatus:
         with shared.domain_errors():
             services.store.flights.get(flight_id)
-            return services.desk.look(flight_id)
+            return services.flights.look(flight_id)
 
     await socket.accept()
     try:
-        fold = await run_in_threadpool(look)
+        status = await run_in_threadpool(look)
     except ApiError as error:
         await socket.close(code=4404 if error.status == 404 else 1011, reason=error.detail[:120])
         return
@@ -267,11 +268,11 @@ async def telemetry(socket: WebSocket, flight_id: MissionId) -> None:
             while not gone.done():
                 changed.clear()
                 sent_s = time.monotonic()
-                await socket.send_json({"flight_id": flight_id, **fold.live()})
-                if fold.state.ended:
+                await socket.send_json({"flight_id": flight_id, **status.live()})
+                if status.state.ended:
                     # The figures follow the end by a moment.
                     ended_s = ended_s or sent_s
-                    if fold.result is not None or sent_s - ended_s > _RESULT_S:
+                    if status.result is not None or sent_s - ended_s > _RESULT_S:
                         await socket.close(code=1000)
                         return
                 waiting = asyncio.ensure_future(changed.wait())
@@ -280,7 +281,7 @@ async def telemetry(socket: WebSocket, flight_id: MissionId) -> None:
                 )
                 waiting.cancel()
                 await asyncio.sleep(max(0.0, _TELEMETRY_S - (time.monotonic() - sent_s)))
-                fold = await run_in_threadpool(services.desk.look, flight_id)
+                status = await run_in_threadpool(services.flights.look, flight_id)
     except (WebSocketDisconnect, RuntimeError):
         return
     finally:

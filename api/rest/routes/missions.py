@@ -16,9 +16,9 @@ from api.rest import schemas
 from api.rest.dependencies import Wired
 from api.rest.routes import shared
 from api.rest.routes.shared import Cursor, IdempotencyKey, Limit, MissionId, RawBody, Version
-from api.service.services import Services
+from api.service import Services
 from gcs.exports import FORMATS as HANDOVER_FORMATS
-from gcs.mission import parse_mission_json
+from gcs.mission import parse_mission_json, write_mission
 from gcs.store import MissionRecord
 from link.files import FORMATS as SETPOINT_FORMATS
 
@@ -117,7 +117,7 @@ def create(services: Wired, body: RawBody, key: IdempotencyKey = None) -> Respon
         settings = services.settings
         mission = parse_mission_json(body, max_bytes=settings.max_document_bytes, max_stations=settings.max_stations)
         record, is_new = services.store.missions.add(
-            mission.to_document(),
+            write_mission(mission),
             idempotency=shared.idempotency("POST /v1/missions", key, body),
             max_queued=settings.max_queued_missions,
         )
@@ -166,7 +166,7 @@ def create_version(services: Wired, mission_id: MissionId, body: RawBody, key: I
         mission = parse_mission_json(body, max_bytes=settings.max_document_bytes, max_stations=settings.max_stations)
         record, is_new = services.store.missions.add_version(
             mission_id,
-            mission.to_document(),
+            write_mission(mission),
             idempotency=shared.idempotency(f"POST /v1/missions/{mission_id}/versions", key, body),
             max_queued=settings.max_queued_missions,
         )

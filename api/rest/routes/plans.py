@@ -13,7 +13,7 @@ from api.rest.dependencies import Wired
 from api.rest.problems import ConflictError, UnprocessableError
 from api.rest.routes import missions, shared
 from api.rest.routes.shared import MissionId, Version
-from api.service.services import Services
+from api.service import Services
 from gcs.exports import FORMATS as HANDOVER_FORMATS
 from gcs.exports import export_handovers, parse_launch
 from gcs.store import MissionRecord
@@ -95,11 +95,13 @@ def handovers(
     services: Wired,
     mission_id: MissionId,
     form: Annotated[str, Query(alias="format", json_schema_extra={"enum": list(HANDOVER_FORMATS)})] = "json",
-    station: Annotated[str | None, Query(max_length=64, description="Only what this station gives and takes.")] = None,
+    station: Annotated[
+        str | None, Query(max_length=64, description="Only the handovers this station transfers or receives.")
+    ] = None,
     launch: Annotated[str | None, _LAUNCH] = None,
     version: Version = None,
 ) -> Response:
-    """When, where, from whom to whom, how long both cover the vehicle; whole or one station's part."""
+    """When, where, the transferring and the receiving station, how long both cover the vehicle; whole or one's part."""
     shared.one_of("format", form, HANDOVER_FORMATS)
     with shared.domain_errors():
         at = launch_time(launch)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Path, Query
@@ -14,7 +15,7 @@ from api.rest.dependencies import Wired
 from api.rest.problems import NotFoundError, UnprocessableError
 from api.rest.routes import shared
 from api.rest.routes.shared import Limit
-from api.service.services import Services
+from api.service import Services
 from gcs.store import Entry
 from link.errors import EndpointUrlError
 from link.transport import parse_url
@@ -107,95 +108,111 @@ def _check_vehicle(body: schemas.RegisteredVehicle, services: Services) -> None:
         raise UnprocessableError("the vehicle names links nobody registered", errors=missing)
 
 
-def _add_routes(
-    kind: str,
-    plural: str,
-    model: type[BaseModel],
-    entry: type[BaseModel],
-    check: Callable[[Any, Services], None],
-    what: str,
-) -> None:
-    described: dict[int | str, dict[str, Any]] = {
-        200: {"model": entry, "description": "Replaced."},
-        201: {"model": entry, "description": "Added."},
-    }
+@dataclass(frozen=True)
+class _Registry:
+    """What differs from one registry to another; ``check`` raises `UnprocessableError` beyond what the model asks."""
 
-    def put(services: Wired, entry_id: EntryId, body: Any, if_match: IfMatch = None) -> Response:
-        check(body, services)
-        return _put(services, kind, entry_id, body, if_match)
+    kind: str
+    plural: str
+    model: type[BaseModel]
+    entry: type[BaseModel]
+    check: Callable[[Any, Services], None]
+    what: str
 
-    # FastAPI reads the body's type from here; it differs from kind to kind.
-    put.__annotations__["body"] = model
+
+def _add_reading(of: _Registry) -> None:
+    def page(services: Wired, limit: Limit = 50, after: After = None) -> schemas.RegistryPage:
+        return schemas.RegistryPage.model_validate(_page(services, of.kind, limit, after))
 
     def get(services: Wired, entry_id: EntryId) -> Response:
         with shared.domain_errors():
-            found = services.store.registry.get(kind, entry_id)
+            found = services.store.registry.get(of.kind, entry_id)
         return JSONResponse(_shown(found), headers={"ETag": f'"{found.revision}"'})
 
-    def page(services: Wired, limit: Limit = 50, after: After = None) -> schemas.RegistryPage:
-        return schemas.RegistryPage.model_validate(_page(services, kind, limit, after))
+    router.add_api_route(
+        f"/{of.plural}",
+        page,
+        methods=["GET"],
+        summary=f"List {of.plural}",
+        name=f"list_{of.plural}",
+        description=of.what,
+    )
+    router.add_api_route(
+        f"/{of.plural}/{{entry_id}}",
+        get,
+        methods=["GET"],
+        summary=f"Look at a {of.kind}",
+        name=f"get_{of.kind}",
+        description=of.what,
+        responses={200: {"model": of.entry}},
+        response_model=None,
+    )
+
+
+def _add_writing(of: _Registry) -> None:
+    def put(services: Wired, entry_id: EntryId, body: Any, if_match: IfMatch = None) -> Response:
+        of.check(body, services)
+        return _put(services, of.kind, entry_id, body, if_match)
+
+    # FastAPI reads the body's type from here; it differs from kind to kind.
+    put.__annotations__["body"] = of.model
 
     def remove(services: Wired, entry_id: EntryId) -> Response:
         with shared.domain_errors():
-            services.store.registry.remove(kind, entry_id)
+            services.store.registry.remove(of.kind, entry_id)
         return Response(status_code=204)
 
-    one = f"/{plural}/{{entry_id}}"
-    add = router.add_api_route
-    add(f"/{plural}", page, methods=["GET"], summary=f"List {plural}", name=f"list_{plural}", description=what)
-    add(
-        one,
+    router.add_api_route(
+        f"/{of.plural}/{{entry_id}}",
         put,
         methods=["PUT"],
-        summary=f"Add or replace a {kind}",
-        name=f"put_{kind}",
-        description=what,
-        responses=described,
+        summary=f"Add or replace a {of.kind}",
+        name=f"put_{of.kind}",
+        description=of.what,
+        responses={
+            200: {"model": of.entry, "description": "Replaced."},
+            201: {"model": of.entry, "description": "Added."},
+        },
         response_model=None,
     )
-    add(
-        one,
-        get,
-        methods=["GET"],
-        summary=f"Look at a {kind}",
-        name=f"get_{kind}",
-        description=what,
-        responses={200: {"model": entry}},
-        response_model=None,
-    )
-    add(
-        one,
+    router.add_api_route(
+        f"/{of.plural}/{{entry_id}}",
         remove,
         methods=["DELETE"],
-        summary=f"Forget a {kind}",
-        name=f"remove_{kind}",
-        description=what,
+        summary=f"Forget a {of.kind}",
+        name=f"remove_{of.kind}",
+        description=of.what,
         status_code=204,
         response_class=Response,
     )
 
 
-_add_routes(
-    "station",
-    "stations",
-    schemas.RegisteredStation,
-    schemas.StationEntry,
-    _check_station,
-    "A ground station: place, range, people. For missions to be put together from.",
+_REGISTRIES = (
+    _Registry(
+        "station",
+        "stations",
+        schemas.RegisteredStation,
+        schemas.StationEntry,
+        _check_station,
+        "A ground station (remote pilot station): place, range, crew. For missions to be put together from.",
+    ),
+    _Registry(
+        "vehicle",
+        "vehicles",
+        schemas.RegisteredVehicle,
+        schemas.VehicleEntry,
+        _check_vehicle,
+        "A vehicle: its autopilot, and each station's C2 link to it.",
+    ),
+    _Registry(
+        "link",
+        "links",
+        schemas.RegisteredLink,
+        schemas.LinkEntry,
+        _check_link,
+        "A C2 link: where a station's radio is reached. Named here so that flights need not know addresses.",
+    ),
 )
-_add_routes(
-    "vehicle",
-    "vehicles",
-    schemas.RegisteredVehicle,
-    schemas.VehicleEntry,
-    _check_vehicle,
-    "A vehicle: its autopilot, and by which link each station reaches it.",
-)
-_add_routes(
-    "link",
-    "links",
-    schemas.RegisteredLink,
-    schemas.LinkEntry,
-    _check_link,
-    "A link: where a station's radio is reached. Named here so that flights need not know addresses.",
-)
+for _registry in _REGISTRIES:
+    _add_reading(_registry)
+    _add_writing(_registry)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Header, Path, Query, Request
 
@@ -17,6 +17,7 @@ from api.rest.problems import (
     UnprocessableError,
     domain_faults,
 )
+from api.service import ReplanError, ReplanFailedError, ReplanInfeasibleError, StillStoppingError
 from gcs import errors as gcs_errors
 from gcs.flight import TransitionError
 from gcs.store import Idempotency
@@ -76,7 +77,7 @@ def cursor_number(cursor: str | None) -> int | None:
     return int(cursor)
 
 
-def as_problem(error: Exception) -> ApiError | None:
+def api_error_of(error: Exception) -> ApiError | None:
     """A domain error as the problem it means to the outside; None for one nobody expects."""
     match error:
         case gcs_errors.MissionError():
@@ -91,6 +92,18 @@ def as_problem(error: Exception) -> ApiError | None:
         case gcs_errors.QueueFullError():
             return UnavailableError(str(error), kind="queue-full", title="Too many missions wait", retry_after_s=10)
         case gcs_errors.ConflictError():
+            return ConflictError(str(error))
+        case ReplanInfeasibleError():
+            found = error.finding.to_document()
+            told: dict[str, Any] = {
+                k: found[k] for k in ("reason", "stations", "where", "gap_m", "fix") if found.get(k) is not None
+            }
+            return ConflictError(str(error), kind="infeasible", title="There is no such flight from here", **told)
+        case ReplanFailedError():
+            return ConflictError(str(error), kind="planning-failed")
+        case StillStoppingError():
+            return ConflictError(str(error), kind="not-now")
+        case ReplanError():
             return ConflictError(str(error))
         case TransitionError():
             return ConflictError(str(error), kind="not-now")
@@ -113,7 +126,7 @@ def domain_errors() -> Iterator[None]:
     except ApiError:
         raise
     except Exception as error:
-        problem = as_problem(error)
+        problem = api_error_of(error)
         if problem is None:
             raise
         raise problem from error

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from api.rest.schemas.base import BAD_INPUT_EXAMPLE, INFEASIBLE_EXAMPLE, InfeasibleProblem, Problem
+from api.rest.schemas.base import BAD_INPUT_EXAMPLE, INFEASIBLE_EXAMPLE, InfeasibleDetails, ProblemDetails
 from api.rest.schemas.flights import (
+    CommandBody,
     FlightDetail,
     FlightEvents,
     FlightPage,
     FlightSummary,
-    LaunchWord,
+    LaunchCommand,
     NewFlight,
+    ReplanCommand,
     ReplanProposal,
-    ReplanWish,
-    ReplanWord,
-    Said,
+    ReplanRequest,
 )
 from api.rest.schemas.missions import (
     LOCAL_MISSION_EXAMPLE,
@@ -44,12 +44,13 @@ __all__ = [
     "INFEASIBLE_EXAMPLE",
     "LOCAL_MISSION_EXAMPLE",
     "MISSION_EXAMPLE",
+    "CommandBody",
     "FlightDetail",
     "FlightEvents",
     "FlightPage",
     "FlightSummary",
-    "InfeasibleProblem",
-    "LaunchWord",
+    "InfeasibleDetails",
+    "LaunchCommand",
     "LinkEntry",
     "MissionBody",
     "MissionDetail",
@@ -58,15 +59,14 @@ __all__ = [
     "MissionSummary",
     "NewFlight",
     "PlanBody",
-    "Problem",
+    "ProblemDetails",
     "RegisteredLink",
     "RegisteredStation",
     "RegisteredVehicle",
     "RegistryPage",
+    "ReplanCommand",
     "ReplanProposal",
-    "ReplanWish",
-    "ReplanWord",
-    "Said",
+    "ReplanRequest",
     "StationEntry",
     "Status",
     "VehicleEntry",

@@ -1,4 +1,4 @@
-"""What bodies have in common, and how a problem is told."""
+"""What bodies have in common, and RFC 9457 problem details."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Closed(BaseModel):
     model_config = ConfigDict(extra="forbid", str_strip_whitespace=False)
 
 
-class ProblemError(Open):
+class ProblemEntry(Open):
     """One thing wrong."""
 
     where: str = Field(description="Path of the field, such as stations[3].range_m.")
@@ -59,7 +59,7 @@ class ProblemError(Open):
     fix: str | None = Field(None, description="What to do.")
 
 
-class Problem(Open):
+class ProblemDetails(Open):
     """Problem details (RFC 9457)."""
 
     type: str = Field(description="A name for this kind of problem.")
@@ -67,10 +67,10 @@ class Problem(Open):
     status: int
     detail: str
     request_id: str | None = Field(None, description="Finds the request in the service's log.")
-    errors: list[ProblemError] = Field(default_factory=list)
+    errors: list[ProblemEntry] = Field(default_factory=list)
 
 
-class InfeasibleProblem(Problem):
+class InfeasibleDetails(ProblemDetails):
     """Why no flight can fulfil the mission."""
 
     reason: str | None = Field(None, description="A word for programs: broken_chain, start_uncovered, ...")

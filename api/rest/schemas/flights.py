@@ -1,4 +1,4 @@
-"""Flights: launching them, saying something in flight, and how they stand."""
+"""Flights: launching them, commanding them in flight, and how they stand."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class NewFlight(Closed):
     version: int | None = Field(None, ge=1, le=2**31 - 1, description="Of the mission; default the latest.")
     rate_hz: float | None = Field(None, ge=5, le=100, description="Setpoints a second; default 20.")
     speedup: float | None = Field(None, ge=0.1, le=1000, description="Our simulator at this factor, on loopback alone.")
-    operator_words: bool | None = Field(None, description="Each handover waits for the next operator's `ready`.")
+    operator_words: bool | None = Field(None, description="Each handover waits for the receiving station's `ready`.")
     rally: bool | None = Field(
         None, description="Upload the mission's safe points as rally points for the flight; default true."
     )
     fence: bool | None = Field(
-        None, description="Lay a fence around the plan and every straight way home, for the flight; default false."
+        None, description="Lay a geofence around the plan and every straight way home, for the flight; default false."
     )
     handover_way: Literal["auto", "gate", "range", "parameter", "operator_control"] | None = Field(
         None,
@@ -45,22 +45,22 @@ class NewFlight(Closed):
     )
 
 
-class LaunchWord(Closed):
-    """The word to launch."""
+class LaunchCommand(Closed):
+    """The launch command."""
 
     plan_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
     preflight_id: int = Field(ge=0, le=2**31 - 1, description="`preflight.id` of the flight.")
-    by: str | None = Field(None, max_length=100, description="Who says so, for the record.")
+    by: str | None = Field(None, max_length=100, description="Who gives it, for the record.")
 
 
-class Said(Closed):
-    """Who says a word, and why; both for the record."""
+class CommandBody(Closed):
+    """Who gives an operator command, and why; both for the record."""
 
     by: str | None = Field(None, max_length=100)
     reason: str | None = Field(None, max_length=500)
 
 
-class ReplanWish(Said):
+class ReplanRequest(CommandBody):
     """What a new plan from the present state is to be; what is left out stays as it was planned."""
 
     destination: dict[str, float] | None = Field(None, description="In the mission's frame, as in the mission.")
@@ -92,14 +92,14 @@ class ReplanProposal(Closed):
     plan: dict[str, Any]
 
 
-class ReplanWord(Said):
+class ReplanCommand(CommandBody):
     """Which proposal is accepted."""
 
     plan_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
 
 class FlightSummary(Closed):
-    """A flight, as lists show it. ``state`` is ``preflight`` until the word to launch; ``phase`` is finer."""
+    """A flight, as lists show it. ``state`` is ``preflight`` until the launch command; ``phase`` is finer."""
 
     id: str
     mission_id: str

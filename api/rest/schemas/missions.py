@@ -65,10 +65,10 @@ class Place(Closed):
 
 
 class StationBody(Place):
-    """A ground station: an antenna, its range, and the people at it."""
+    """A ground station (remote pilot station): an antenna, the range of its C2 link, and the crew."""
 
     id: str = Field(description="Letters, digits, blanks and . _ - : + # ( ) ' &, beginning with a letter or digit.")
-    range_m: float = Field(gt=0, description="Slant range within which the vehicle hears it, m.")
+    range_m: float = Field(gt=0, description="Slant range of its C2 link to the vehicle, m.")
     name: str | None = None
     system_id: int | None = Field(None, ge=1, le=254, description="MAVLink id; given out when a plan uses the station.")
     contact: str | None = None
@@ -78,7 +78,7 @@ class StationBody(Place):
 
 
 class SafePointBody(Place):
-    """A place to go to when the flight cannot go on."""
+    """A place that contingency procedures lead to."""
 
     id: str
     name: str | None = None

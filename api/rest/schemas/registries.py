@@ -12,12 +12,12 @@ ENTRY_ID = r"^[^\W_][\w .:+#()'&-]{0,63}$"
 
 
 class RegisteredStation(Closed):
-    """A ground station known by name."""
+    """A ground station (remote pilot station) known by name."""
 
     lat_deg: float = Field(ge=-90, le=90, allow_inf_nan=False, examples=[52.9234])
     lon_deg: float = Field(ge=-180, le=180, allow_inf_nan=False, examples=[4.7806])
     alt_amsl_m: float = Field(ge=-1000, le=50_000, description="Of the antenna, above mean sea level.", examples=[1.0])
-    range_m: float = Field(gt=0, le=500_000, description="Slant range, m.", examples=[16000.0])
+    range_m: float = Field(gt=0, le=500_000, description="Slant range of its C2 link, m.", examples=[16000.0])
     name: str | None = Field(None, max_length=200)
     system_id: int | None = Field(None, ge=1, le=254, description="Its MAVLink id.")
     contact: str | None = Field(None, max_length=200)
@@ -27,7 +27,7 @@ class RegisteredStation(Closed):
 
 
 class RegisteredLink(Closed):
-    """Where a station's radio is reached."""
+    """A C2 link: where a station's radio is reached."""
 
     url: str = Field(
         max_length=200,
@@ -38,7 +38,7 @@ class RegisteredLink(Closed):
 
 
 class RegisteredVehicle(Closed):
-    """A vehicle and the links that lead to it."""
+    """A vehicle and the C2 links that lead to it."""
 
     autopilot: Literal["px4", "ardupilot"]
     links: dict[str, str] = Field(

@@ -19,6 +19,7 @@ from api.cli.console import Progress
 from api.cli.errors import BadInputError, CommandError
 from api.processes.children import ChildError, Children
 from tests.support.cli_process import SKYRELAY
+from tests.support.process_tree import alive
 
 Cli = Callable[..., "object"]
 
@@ -173,14 +174,6 @@ def test_off_a_terminal_progress_is_a_plain_line_every_few_seconds(capsys: pytes
 
 
 # -- children ---------------------------------------------------------------------------------------------------------
-
-
-def alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
 
 
 def test_children_and_their_children_end_with_the_context() -> None:

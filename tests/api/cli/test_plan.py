@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from gcs.plan.model import Plan
+from gcs.plan import read_plan
 from tests.support.checker import check_plan
 from tests.support.cli_process import SKYRELAY, Outcome
 from tests.support.infeasible_missions import INFEASIBLE
@@ -55,7 +55,7 @@ def test_a_plan_is_summed_up_and_kept(cli: Cli, tmp_path: Path) -> None:
 def test_json_goes_to_standard_output_alone(cli: Cli) -> None:
     outcome = cli("plan", "-", "--json", stdin=body_of(GOOD))
     assert (outcome.code, outcome.err) == (0, "")
-    plan = Plan.from_document(json.loads(outcome.out))
+    plan = read_plan(json.loads(outcome.out))
     assert plan.to_document() == json.loads(outcome.out)
     dash = cli("plan", "-", "-o", "-", stdin=body_of(GOOD))
     assert json.loads(dash.out)["plan_sha256"] == plan.plan_sha256  # deterministic, and `-o -` is standard output

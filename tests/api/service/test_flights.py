@@ -16,11 +16,11 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from api.cli import rest_client as service_module
-from api.processes import simulator
+from api.processes import start_simulator
 from api.processes.children import Children
 from api.processes.quick_mission import QUICK_MISSION
 from api.rest.schemas import NewFlight
-from gcs.plan.model import Plan
+from gcs.plan import read_plan
 from link.errors import SupervisorError
 from link.session.request import HANDOVER_WAYS
 from link.streamer.supervisor import attach
@@ -40,9 +40,9 @@ def planned(client: httpx.Client) -> dict[str, Any]:
 @pytest.fixture
 def vehicle(client: httpx.Client, planned: dict[str, Any]) -> Iterator[str]:
     """A simulated vehicle, registered with a link for each station."""
-    plan = Plan.from_document(client.get(f"/v1/missions/{planned['id']}/plan").json())
+    plan = read_plan(client.get(f"/v1/missions/{planned['id']}/plan").json())
     with Children() as children:
-        _, urls = simulator.start(children, plan, autopilot="ardupilot", speedup=SPEEDUP)
+        _, urls = start_simulator(children, plan, autopilot="ardupilot", speedup=SPEEDUP)
         for station, url in urls.items():
             assert client.put(f"/v1/links/{station}", json={"url": url}).status_code in (200, 201)
         client.put("/v1/vehicles/drone", json={"autopilot": "ardupilot", "links": {s: s for s in urls}})
@@ -194,8 +194,8 @@ def test_a_flight_outlives_the_service_which_finds_it_again(tmp_path: Path) -> N
     server = Server(tmp_path / "d")
     with httpx.Client(base_url=server.address, timeout=60) as client, Children() as children:
         mission = wait_for_planning(client, client.post("/v1/missions", json=QUICK_MISSION).json()["id"])
-        plan = Plan.from_document(client.get(f"/v1/missions/{mission['id']}/plan").json())
-        _, urls = simulator.start(children, plan, autopilot="ardupilot", speedup=SPEEDUP)
+        plan = read_plan(client.get(f"/v1/missions/{mission['id']}/plan").json())
+        _, urls = start_simulator(children, plan, autopilot="ardupilot", speedup=SPEEDUP)
         for station, url in urls.items():
             client.put(f"/v1/links/{station}", json={"url": url})
         client.put("/v1/vehicles/drone", json={"autopilot": "ardupilot", "links": {s: s for s in urls}})
@@ -386,7 +386,7 @@ def test_a_proposal_is_shown_with_what_speaks_against_it_and_how_to_accept_it(
             return {"mission": {"destination": {"lat_deg": 1.0, "lon_deg": 2.0, "alt_amsl_m": 3.0}}}
         return proposal
 
-    monkeypatch.setattr(service_module.Service, "call", call)
+    monkeypatch.setattr(service_module.ServiceClient, "call", call)
     shown = cli(
         "flight", "f", "replan", "--destination", "53.1,4.8,100", "--exclude", "a", "--exclude", "b", "--ahead", "45"
     )
@@ -414,7 +414,7 @@ def test_a_flight_there_is_not_from_here_is_infeasible(cli: Cli, monkeypatch: py
     def call(self: object, method: str, path: str, body: Any = None) -> Any:
         raise service_module.RefusedError(method, path, 409, problem)
 
-    monkeypatch.setattr(service_module.Service, "call", call)
+    monkeypatch.setattr(service_module.ServiceClient, "call", call)
     outcome = cli("flight", "f", "replan")
     assert (outcome.code, outcome.out) == (3, "")
     assert "no station covers the destination" in outcome.err

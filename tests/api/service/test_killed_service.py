@@ -17,10 +17,10 @@ from typing import IO, Any
 import httpx
 import pytest
 
-from api.processes import simulator
+from api.processes import start_simulator
 from api.processes.children import Children
 from api.processes.quick_mission import QUICK_MISSION
-from gcs.plan.model import Plan
+from gcs.plan import read_plan
 from link.errors import SupervisorError
 from link.streamer.control_socket import connect
 from link.streamer.supervisor import attach
@@ -151,8 +151,8 @@ def test_a_hundred_killed_services_cost_no_tick(autopilot: str, tmp_path: Path) 
         service.start()
         with httpx.Client(base_url=service.address, timeout=120) as client:
             mission = wait_for_planning(client, client.post("/v1/missions", json=SLOW_MISSION).json()["id"])
-            plan = Plan.from_document(client.get(f"/v1/missions/{mission['id']}/plan").json())
-            _, urls = simulator.start(children, plan, autopilot=autopilot, speedup=1.0)
+            plan = read_plan(client.get(f"/v1/missions/{mission['id']}/plan").json())
+            _, urls = start_simulator(children, plan, autopilot=autopilot, speedup=1.0)
             for station, url in urls.items():
                 client.put(f"/v1/links/{station}", json={"url": url})
             client.put("/v1/vehicles/drone", json={"autopilot": autopilot, "links": {s: s for s in urls}})

@@ -6,13 +6,14 @@ import json
 from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
-from api.service.flights import FlightDesk
+from api.service import ReplanError, ReplanInfeasibleError, ReplanStateError, StillStoppingError
+from api.service.flights import FlightService
 from api.service.replanning import Replanning
-from gcs.errors import NotFoundError
+from gcs.errors import MissionInfeasible, NotFoundError
 from gcs.plan.model import Plan
 from gcs.planning.replan import replan
 from link.director.plan_exchange import judge_next
@@ -59,9 +60,9 @@ class Pool:
 def service(run_dir: Path, running: Running) -> Replanning:
     """One that has just started and found the flight."""
     store = SimpleNamespace(flights=SimpleNamespace(get=lambda _: SimpleNamespace(document={"run_dir": str(run_dir)})))
-    desk = FlightDesk(None, store, None)  # type: ignore[arg-type]
-    desk._watched["f"] = SimpleNamespace(flight=running)  # type: ignore[assignment]
-    return Replanning(desk, Pool())  # type: ignore[arg-type]
+    flights = FlightService(None, store, None)  # type: ignore[arg-type]
+    flights._watched["f"] = SimpleNamespace(flight=running)  # type: ignore[assignment]
+    return Replanning(flights, Pool())  # type: ignore[arg-type]
 
 
 def test_a_proposal_outlives_the_service_and_is_judged_like_a_launch(tmp_path: Path) -> None:
@@ -78,14 +79,50 @@ def test_a_proposal_outlives_the_service_and_is_judged_like_a_launch(tmp_path: P
         again.accept("f", "00", by="me", reason="")
 
 
+@pytest.mark.parametrize(
+    ("status", "refusal", "said"),
+    [
+        ({"state": "landing"}, ReplanStateError, "a flight that is landing cannot be replanned"),
+        ({"state": "holding", "plan_s": None}, ReplanStateError, "it must cruise or hold on its path"),
+        ({"state": "holding", "stands": False}, StillStoppingError, "ask again when it stands"),
+    ],
+)
+def test_a_flight_that_cannot_be_replanned_now_says_so(
+    tmp_path: Path, status: dict[str, Any], refusal: type[ReplanError], said: str
+) -> None:
+    running = Running()
+    running.status = lambda: {**Running.status(running), **status}  # type: ignore[method-assign]
+    with pytest.raises(refusal, match=said):
+        service(tmp_path, running).propose("f", lambda _: OLD.to_document())
+
+
+def test_a_flight_nothing_goes_on_from_says_why(tmp_path: Path) -> None:
+    class Infeasible(Pool):
+        joins: ClassVar[list[float]] = []
+
+        def replan(self, order: Any, *, limit_s: float) -> Future[dict[str, Any]]:
+            self.joins.append(order.join_s)
+            done: Future[dict[str, Any]] = Future()
+            done.set_exception(MissionInfeasible("join" if len(self.joins) == 1 else "range", "No way on."))
+            return done
+
+    proposals = service(tmp_path, Running())
+    proposals._pool = Infeasible()  # type: ignore[assignment]
+    with pytest.raises(ReplanInfeasibleError, match="No way on") as refusal:
+        proposals.propose("f", lambda _: OLD.to_document())
+    # A join inside a handover is tried again 6 s later; what no moment mends is not, and the first reason is told.
+    assert Infeasible.joins == [35.0, 41.0]
+    assert refusal.value.finding.reason == "join"
+
+
 def test_of_a_flights_proposals_the_last_twenty_are_kept(tmp_path: Path) -> None:
-    desk = service(tmp_path, Running())._desk
+    flights = service(tmp_path, Running())._flights
     for number in range(23):
-        desk.keep_proposal("f", {"plan": {"plan_sha256": f"{number:02d}"}})
+        flights.keep_proposal("f", {"plan": {"plan_sha256": f"{number:02d}"}})
     for number in range(3):
         with pytest.raises(NotFoundError):
-            desk.proposal("f", f"{number:02d}")
-    assert [desk.proposal("f", f"{number:02d}")["plan"]["plan_sha256"] for number in (3, 22)] == ["03", "22"]
+            flights.proposal("f", f"{number:02d}")
+    assert [flights.proposal("f", f"{number:02d}")["plan"]["plan_sha256"] for number in (3, 22)] == ["03", "22"]
 
 
 def test_handovers_that_are_behind_are_judged_no_more() -> None:

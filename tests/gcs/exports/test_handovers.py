@@ -15,7 +15,7 @@ import pytest
 from gcs.errors import ExportError
 from gcs.exports.handovers import CSV_HEADER, export_handovers, parse_launch, watches, write_atomic
 from gcs.exports.plan_summary import summary
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.mission.staffing import staffed
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
@@ -30,7 +30,7 @@ def plan() -> Plan:
         {**GOOD["stations"][0], "name": 'Den Helder "airfield", south', "contact": "+31 000", "radio_channel": "C2-4"},
         {**GOOD["stations"][1], "hours": "08:00-09:05"},
     ]
-    return plan_mission(Mission.from_document({**GOOD, "stations": stations}), fast=True)
+    return plan_mission(read_mission({**GOOD, "stations": stations}), fast=True)
 
 
 def test_csv_is_the_contract_s(plan: Plan) -> None:
@@ -90,7 +90,7 @@ def test_one_station_s_part(plan: Plan) -> None:
 
 def test_a_station_that_is_not_used_is_told_so() -> None:
     document = {**GOOD, "destination": {**GOOD["start"], "lat_deg": 52.93}}
-    alone = plan_mission(Mission.from_document(document), fast=True)
+    alone = plan_mission(read_mission(document), fast=True)
     assert "does not use texel" in export_handovers(alone, "table", station="texel")
     assert "one station is in control all the way" in export_handovers(alone, "table")
     assert export_handovers(alone, "csv").count("\r\n") == 1

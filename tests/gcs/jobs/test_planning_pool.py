@@ -17,20 +17,21 @@ import pytest
 from gcs.errors import MissionError, MissionInfeasible, PlanningCancelled, PlanningFailed
 from gcs.jobs.planning_pool import PlanningPool, release_dead, this_owner
 from gcs.jobs.worker_pool import WorkerPool
+from gcs.mission import read_mission, write_mission
 from gcs.mission.document import parse_mission_json
-from gcs.mission.model import Mission
-from gcs.plan.model import Plan
+from gcs.plan import read_plan
 from gcs.planning.mission_planning import plan_mission
 from gcs.store.missions import MissionRecord
 from gcs.store.store import Store
 from tests.support.infeasible_missions import local
 from tests.support.malformed_missions import GOOD
 from tests.support.paths import ROOT
+from tests.support.process_tree import alive
 
-DOCUMENT = Mission.from_document(GOOD).to_document()
-LONGER = parse_mission_json(
-    (ROOT / "sitl_fixtures" / "missions" / "paper_like" / "M30_02.json").read_bytes()
-).to_document()
+DOCUMENT = write_mission(read_mission(GOOD))
+LONGER = write_mission(
+    parse_mission_json((ROOT / "sitl_fixtures" / "missions" / "paper_like" / "M30_02.json").read_bytes())
+)
 
 
 def wait_for(what: Callable[[], Any], limit_s: float = 60.0) -> Any:
@@ -42,14 +43,6 @@ def wait_for(what: Callable[[], Any], limit_s: float = 60.0) -> Any:
             return value
         time.sleep(0.01)
     raise AssertionError("waited in vain")
-
-
-def alive(pid: int) -> bool:
-    """Whether a process runs (a zombie does not)."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.fixture(scope="module")
@@ -73,13 +66,13 @@ def pool(shared_pool: WorkerPool) -> WorkerPool:
 def test_a_worker_plans_what_this_process_plans(pool: WorkerPool) -> None:
     told: list[tuple[str, float]] = []
     job = pool.submit(DOCUMENT, on_progress=lambda *step: told.append(step))
-    plan = Plan.from_document(job.future.result(60))
-    assert plan.plan_sha256 == plan_mission(Mission.from_document(DOCUMENT)).plan_sha256
+    plan = read_plan(job.future.result(60))
+    assert plan.plan_sha256 == plan_mission(read_mission(DOCUMENT)).plan_sha256
     assert [phase for phase, _ in told] == ["preparing", "planning", "scheduling", "done"]
 
 
 def test_errors_cross_over_whole(pool: WorkerPool) -> None:
-    broken = Mission.from_document(local(stations__1__east_m=2500.0, destination__east_m=2500.0)).to_document()
+    broken = write_mission(read_mission(local(stations__1__east_m=2500.0, destination__east_m=2500.0)))
     with pytest.raises(MissionInfeasible) as caught:
         pool.submit(broken).future.result(60)
     assert caught.value.stations == ("A", "B")
@@ -95,7 +88,7 @@ def test_a_hung_worker_is_killed_and_the_mission_planned_otherwise(pool: WorkerP
     """A stopped process is as hung as one can be: it answers nothing and dies of nothing but SIGKILL."""
     (hung,) = pool.pids
     os.kill(hung, signal.SIGSTOP)
-    plan = Plan.from_document(pool.submit(DOCUMENT, limit_s=2.0).future.result(60))
+    plan = read_plan(pool.submit(DOCUMENT, limit_s=2.0).future.result(60))
     assert plan.method == "paper"
     assert "took longer than 2 s" in plan.notes[0]
     assert plan.certificate.feasible
@@ -113,12 +106,12 @@ def test_a_crashed_worker_is_replaced_and_the_mission_planned_again(pool: Worker
 
     job = pool.submit(LONGER, on_progress=kill_at_work)
     usual = pool.submit(DOCUMENT)
-    plan = Plan.from_document(job.future.result(120))
+    plan = read_plan(job.future.result(120))
     assert plan.method == "paper"
     assert "ended (signal 9)" in plan.notes[0]
     assert pool.restarts == 1
     # the next mission is planned the usual way
-    assert Plan.from_document(usual.future.result(60)).method == "joint"
+    assert read_plan(usual.future.result(60)).method == "joint"
 
 
 def test_a_mission_that_kills_twice_fails(pool: WorkerPool) -> None:
@@ -164,7 +157,7 @@ def test_grace_lets_work_finish() -> None:
     job = pool.submit(DOCUMENT)
     wait_for(lambda: pool.busy)
     pool.stop(grace_s=60.0)
-    assert Plan.from_document(job.future.result(0)).certificate.feasible
+    assert read_plan(job.future.result(0)).certificate.feasible
 
 
 def test_a_pool_needs_sense() -> None:
@@ -202,7 +195,7 @@ def test_missions_in_the_store_get_planned(url: str) -> None:
         waiting, _ = store.missions.add(DOCUMENT)  # queued before the pool starts
         pool = PlanningPool(store, processes=1, on_change=changes.append)
         pool.start()
-        hopeless, _ = store.missions.add(Mission.from_document(local(start__east_m=-1200.0)).to_document())
+        hopeless, _ = store.missions.add(write_mission(read_mission(local(start__east_m=-1200.0))))
         pool.wake()
         good = wait_for(lambda: settled(store, waiting.id))
         bad = wait_for(lambda: settled(store, hopeless.id))
@@ -211,7 +204,7 @@ def test_missions_in_the_store_get_planned(url: str) -> None:
         answer = pool.plan(DOCUMENT).result(60)
         pool.stop()
         assert (good.status, bad.status) == ("planned", "infeasible")
-        plan = Plan.from_document(store.missions.plan(waiting.id))
+        plan = read_plan(store.missions.plan(waiting.id))
         assert plan.plan_sha256 == good.plan_sha256 == answer["plan_sha256"]
         assert bad.infeasibility is not None
         assert bad.infeasibility["reason"] == "start_uncovered"

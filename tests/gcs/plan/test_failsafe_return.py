@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcs.layout.mission_geometry import Ground, choose_plane
-from gcs.mission.model import Mission
+from gcs.layout.mission_geometry import MissionGeometry, choose_plane
+from gcs.mission import read_mission, write_mission
+from gcs.plan import read_plan
 from gcs.plan.contingency import contingencies
-from gcs.plan.failsafe_return import ReturnRules, cells, own_returns
-from gcs.plan.model import Plan
+from gcs.plan.failsafe_return import ReturnRules, cells, failsafe_returns
 from gcs.planning.mission_planning import plan_mission
 from planner.trajectory import Trajectory
 
@@ -24,7 +24,7 @@ STRAIGHT = Trajectory(
 """1 km east in 100 s, 50 m up, at 10 m/s throughout."""
 
 
-def ground(range_m: float = 3000.0, max_speed_m_s: float = 10.0) -> Ground:
+def geometry(range_m: float = 3000.0, max_speed_m_s: float = 10.0) -> MissionGeometry:
     document = {
         "origin": {"lat_deg": 53.0, "lon_deg": 5.0, "alt_amsl_m": 0.0},
         "start": {"east_m": 0.0, "north_m": 0.0, "up_m": 50.0},
@@ -38,8 +38,8 @@ def ground(range_m: float = 3000.0, max_speed_m_s: float = 10.0) -> Ground:
         },
         "safe_points": [{"id": "end", "east_m": 1000.0, "north_m": 0.0, "up_m": 0.0}],
     }
-    mission = Mission.from_document(document)
-    return Ground(mission, choose_plane(mission))
+    mission = read_mission(document)
+    return MissionGeometry(mission, choose_plane(mission))
 
 
 HOME = (0.0, 0.0, 0.0)
@@ -47,35 +47,35 @@ RULES = ReturnRules(HOME, speed_m_s=10.0, climb_m_s=2.0, sink_m_s=1.0)
 
 
 def test_straight_home_by_hand() -> None:
-    (way,) = own_returns(ground(), STRAIGHT, RULES)
+    (way,) = failsafe_returns(geometry(), STRAIGHT, RULES)
     assert (way.from_s, way.to_s, way.to, way.covered) == (0.0, 100.0, None, True)
     # From the end: 990 m and 10 m of doubt at 10 m/s, 50 m down at 1 m/s, 10 s to stop and get going.
     assert way.duration_s == pytest.approx(100.0 + 50.0 + 10.0, abs=0.1)
-    up = own_returns(ground(), STRAIGHT, ReturnRules(HOME, climb_to_up_m=90.0, speed_m_s=10.0, climb_m_s=2.0))[0]
+    up = failsafe_returns(geometry(), STRAIGHT, ReturnRules(HOME, climb_to_up_m=90.0, speed_m_s=10.0, climb_m_s=2.0))[0]
     # 40 m up at 2 m/s first, then 90 m down at the default 1.5.
     assert up.duration_s == pytest.approx(20.0 + 100.0 + 60.0 + 10.0, abs=0.1)
 
 
 def test_the_nearest_of_home_and_the_rally_points_within_the_limit() -> None:
     points = (("end", (1000.0, 0.0, 0.0)),)
-    both = own_returns(ground(), STRAIGHT, ReturnRules(HOME, points))
+    both = failsafe_returns(geometry(), STRAIGHT, ReturnRules(HOME, points))
     assert [(w.to, round(w.to_s)) for w in both] == [(None, 50), ("end", 100)]
-    near = own_returns(ground(), STRAIGHT, ReturnRules(HOME, points, limit_m=300.0))
+    near = failsafe_returns(geometry(), STRAIGHT, ReturnRules(HOME, points, limit_m=300.0))
     # Beyond 300 m it does not count, and home is chosen however far.
     assert [(w.to, round(w.to_s)) for w in near] == [(None, 70), ("end", 100)]
-    only = own_returns(ground(), STRAIGHT, ReturnRules(HOME, points, home_counts=False))
+    only = failsafe_returns(geometry(), STRAIGHT, ReturnRules(HOME, points, home_counts=False))
     assert [w.to for w in only] == ["end"]
-    none = own_returns(ground(), STRAIGHT, ReturnRules(HOME, points, limit_m=1.0, home_counts=False))
+    none = failsafe_returns(geometry(), STRAIGHT, ReturnRules(HOME, points, limit_m=1.0, home_counts=False))
     assert none[0].to is None
 
 
 def test_a_way_out_of_range_is_seen_at_the_height_it_is_flown_at() -> None:
-    assert own_returns(ground(600.0), STRAIGHT, RULES)[0].covered
+    assert failsafe_returns(geometry(600.0), STRAIGHT, RULES)[0].covered
     # 590 m up over a station of 600 m: its ball is 110 m wide there.
-    high = own_returns(ground(600.0), STRAIGHT, ReturnRules(HOME, climb_to_up_m=590.0))
+    high = failsafe_returns(geometry(600.0), STRAIGHT, ReturnRules(HOME, climb_to_up_m=590.0))
     assert not any(way.covered for way in high)
     away = (("sea", (1000.0, 700.0, 0.0)),)
-    ways = own_returns(ground(600.0), STRAIGHT, ReturnRules(HOME, away))
+    ways = failsafe_returns(geometry(600.0), STRAIGHT, ReturnRules(HOME, away))
     assert next((w.to, w.covered) for w in ways) == (None, True)
     assert not ways[-1].covered
 
@@ -101,7 +101,7 @@ def test_wherever_it_begins_the_way_taken_is_covered_where_the_span_says_so(
     counts = bool(away) and (limit_m is None or away[0][0] <= limit_m)
     if counts and (not home_counts or away[0][0] < math.hypot(here[0], here[1])):
         target = away[0][1]
-    span = next(w for w in own_returns(ground(700.0), STRAIGHT, rules) if w.from_s <= time_s <= w.to_s)
+    span = next(w for w in failsafe_returns(geometry(700.0), STRAIGHT, rules) if w.from_s <= time_s <= w.to_s)
     corners = np.array([here, [here[0], here[1], 60.0], [*target, 60.0], [*target, 0.0]])
     way = np.concatenate([np.linspace(a, b, 500) for a, b in itertools.pairwise(corners)])
     inside = np.linalg.norm(way - np.array([500.0, 0.0, 0.0]), axis=1) <= 700.0
@@ -110,14 +110,14 @@ def test_wherever_it_begins_the_way_taken_is_covered_where_the_span_says_so(
 
 
 def test_a_plan_says_where_its_vehicle_goes_by_itself() -> None:
-    document = ground().mission.to_document()
+    document = write_mission(geometry().mission)
     document["options"] = {}
-    plan = plan_mission(Mission.from_document(document), fast=True)
-    assert all(way.own_return_covered for way in plan.contingencies)
+    plan = plan_mission(read_mission(document), fast=True)
+    assert all(way.failsafe_return_covered for way in plan.contingencies)
     # The field at the end is the nearest there: over it, 50 m down at full speed's sink, and a while to turn.
-    assert plan.contingencies[-1].own_return_s is not None
-    assert 0.0 < plan.contingencies[-1].own_return_s < 100.0
-    again = Plan.from_document(plan.to_document())
+    assert plan.contingencies[-1].failsafe_return_s is not None
+    assert 0.0 < plan.contingencies[-1].failsafe_return_s < 100.0
+    again = read_plan(plan.to_document())
     assert again.contingencies == plan.contingencies
     # Plans made before these were worked out stay readable, to the hash.
     old = plan.to_document()
@@ -126,12 +126,12 @@ def test_a_plan_says_where_its_vehicle_goes_by_itself() -> None:
     from gcs.plan.model import hash_of
 
     old["plan_sha256"] = hash_of(old)
-    read = Plan.from_document(old)
-    assert read.contingencies[0].own_return_covered is None
+    read = read_plan(old)
+    assert read.contingencies[0].failsafe_return_covered is None
     assert read.plan_sha256 == old["plan_sha256"]
 
 
 def test_spans_of_contingencies_and_cells_are_the_same() -> None:
-    ways = contingencies(ground(), STRAIGHT)
+    ways = contingencies(geometry(), STRAIGHT)
     edges = cells(STRAIGHT)
     assert {way.from_s for way in ways} <= set(edges.tolist())

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from gcs.geodesy.ellipsoid import slant_range_m
 from gcs.geodesy.plane import Plane
-from gcs.layout.mission_geometry import Ground, choose_plane
+from gcs.layout.mission_geometry import MissionGeometry, choose_plane
+from gcs.mission import read_mission, write_mission
 from gcs.mission.model import GeoPosition, Mission
 from gcs.plan.contingency import contingencies
 from gcs.plan.handover_schedule import schedule
@@ -43,7 +44,7 @@ def two_discs(**station_changes: Any) -> Mission:
     document["destination"] |= {"east_m": 2000.0, "up_m": 100.0}
     for station, east in zip(document["stations"], (0.0, 2000.0), strict=True):
         station |= {"east_m": east, "up_m": 100.0, "range_m": 1200.0, **station_changes}
-    return Mission.from_document(document)
+    return read_mission(document)
 
 
 PATH = straight((0, 0, 100), (1000, 0, 100), (2000, 0, 100), speed_m_s=10.0, stations=[0, 1])
@@ -51,8 +52,8 @@ PATH = straight((0, 0, 100), (1000, 0, 100), (2000, 0, 100), speed_m_s=10.0, sta
 
 def test_handover_by_hand() -> None:
     mission = two_discs()
-    ground = Ground(mission, choose_plane(mission))
-    (handover,) = schedule(ground, PATH)
+    geometry = MissionGeometry(mission, choose_plane(mission))
+    (handover,) = schedule(geometry, PATH)
     assert (handover.index, handover.from_station, handover.to_station) == (1, "A", "B")
     assert handover.time_s == 100.0
     # B begins to cover at 800 m east, 80 s; A ends at 1200 m, 120 s
@@ -68,14 +69,14 @@ def test_handover_by_hand() -> None:
 
 def test_windows_stop_at_the_mission_s_ends() -> None:
     mission = two_discs(range_m=5000.0)
-    (handover,) = schedule(Ground(mission, choose_plane(mission)), PATH)
+    (handover,) = schedule(MissionGeometry(mission, choose_plane(mission)), PATH)
     assert (handover.overlap_start_s, handover.overlap_end_s) == (0.0, 200.0)
 
 
 def test_a_flight_under_one_station_has_no_handover() -> None:
     mission = two_discs(range_m=5000.0)
     path = straight((0, 0, 100), (2000, 0, 100), speed_m_s=10.0, stations=[0])
-    assert schedule(Ground(mission, choose_plane(mission)), path) == ()
+    assert schedule(MissionGeometry(mission, choose_plane(mission)), path) == ()
 
 
 def test_elevation_narrows_the_overlap() -> None:
@@ -85,9 +86,9 @@ def test_elevation_narrows_the_overlap() -> None:
     document["destination"] |= {"east_m": 1000.0, "up_m": 100.0}
     for station, east in zip(document["stations"], (0.0, 1000.0), strict=True):
         station |= {"east_m": east, "up_m": 0.0, "range_m": 2000.0, "min_elevation_deg": 10.0}
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     path = straight((0, 0, 100), (500, 0, 100), (1000, 0, 100), speed_m_s=10.0, stations=[0, 1])
-    (handover,) = schedule(Ground(mission, choose_plane(mission)), path)
+    (handover,) = schedule(MissionGeometry(mission, choose_plane(mission)), path)
     reach = 100.0 / np.tan(np.radians(10.0))
     assert handover.overlap_start_s == pytest.approx((1000.0 - reach) / 10.0, abs=1e-6)
     assert handover.overlap_end_s == pytest.approx(reach / 10.0, abs=1e-6)
@@ -107,15 +108,15 @@ def test_windows_on_the_earth_end_where_the_true_range_does(
     for name, end in zip(("start", "destination"), ends, strict=True):
         document[name] |= {"lat_deg": end["lat2"], "lon_deg": end["lon2"]}
     document["safe_points"] = []
-    mission = Mission.from_document(document)
-    ground = Ground(mission, choose_plane(mission))
-    start, stop = ground.enu_m([mission.start, mission.destination])
+    mission = read_mission(document)
+    geometry = MissionGeometry(mission, choose_plane(mission))
+    start, stop = geometry.enu_m([mission.start, mission.destination])
     path = straight(tuple(start), tuple((start + stop) / 2), tuple(stop), speed_m_s=25.0, stations=[0, 1])
-    (handover,) = schedule(ground, path)
+    (handover,) = schedule(geometry, path)
     antenna = [s.position for s in mission.stations]
 
     def left_m(time_s: float, k: int) -> float:
-        place = ground.geo(path.evaluate(time_s))
+        place = geometry.geo(path.evaluate(time_s))
         at = antenna[k]
         assert isinstance(at, GeoPosition)
         slant = slant_range_m(place.lat_deg, place.lon_deg, place.alt_amsl_m, at.lat_deg, at.lon_deg, at.alt_amsl_m)
@@ -138,32 +139,32 @@ def test_the_plane_of_a_mission_lies_in_its_middle() -> None:
     places = [document["start"], document["destination"], *document["stations"], *document["safe_points"]]
     for place, lon in zip(places, (179.9, -179.9, 179.9, -179.9, -179.9), strict=True):
         place |= {"lat_deg": 10.0, "lon_deg": lon}
-    plane = choose_plane(Mission.from_document(document))
+    plane = choose_plane(read_mission(document))
     assert abs(abs(plane.lon_deg) - 180.0) < 1e-3
     assert plane.lat_deg == pytest.approx(10.0, abs=1e-3)
     assert plane.alt_amsl_m == 0.0
-    assert choose_plane(Mission.from_document(GOOD_LOCAL)) == Plane(39.96, 116.32, 0.0)
+    assert choose_plane(read_mission(GOOD_LOCAL)) == Plane(39.96, 116.32, 0.0)
 
 
 # --- ways out --------------------------------------------------------------------------------------------------
 
 
-def with_safe_points(mission: Mission, **places: tuple[float, float]) -> Ground:
-    document = mission.to_document()
+def with_safe_points(mission: Mission, **places: tuple[float, float]) -> MissionGeometry:
+    document = write_mission(mission)
     document["safe_points"] = [
         {"id": name, "east_m": east, "north_m": north, "up_m": 0.0} for name, (east, north) in places.items()
     ]
-    changed = Mission.from_document(document)
-    return Ground(changed, choose_plane(changed))
+    changed = read_mission(document)
+    return MissionGeometry(changed, choose_plane(changed))
 
 
 def test_ways_out_by_hand() -> None:
     """A field under A, one under B: back to A's at first, on to B's later; each 100 m down at 10 m/s at the end."""
     mission = two_discs()
-    document = mission.to_document()
+    document = write_mission(mission)
     document["limits"] = {**GOOD_LOCAL["limits"], "max_speed_m_s": 10.0, "max_accel_m_s2": 2.0}
-    ground = with_safe_points(Mission.from_document(document), west=(0.0, 0.0), east=(2000.0, 0.0))
-    ways = contingencies(ground, PATH)
+    geometry = with_safe_points(read_mission(document), west=(0.0, 0.0), east=(2000.0, 0.0))
+    ways = contingencies(geometry, PATH)
     assert ways[0].from_s == 0.0
     assert ways[-1].to_s == 200.0
     assert [(a.to_s, b.from_s) for a, b in itertools.pairwise(ways)] == [(a.to_s, a.to_s) for a in ways[:-1]]
@@ -194,12 +195,12 @@ def test_a_detour_home_is_seen_to_be_uncovered() -> None:
               |         crosses a hole
         A o   D o
     """
-    document = two_discs().to_document()
+    document = write_mission(two_discs())
     document["stations"] = [
         {"id": name, "east_m": east, "north_m": north, "up_m": 100.0, "range_m": 800.0}
         for name, east, north in (("A", 0, 0), ("B", 0, 1500), ("C", 1500, 1500), ("D", 3000, 0))
     ]
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     path = straight(
         (0, 0, 100),
         (0, 750, 100),
@@ -209,7 +210,7 @@ def test_a_detour_home_is_seen_to_be_uncovered() -> None:
         speed_m_s=10,
         stations=[0, 1, 1, 2],
     )
-    ways = contingencies(Ground(mission, choose_plane(mission)), path)
+    ways = contingencies(MissionGeometry(mission, choose_plane(mission)), path)
     assert [way.action for way in ways] == ["return"]
     assert not ways[0].straight_home_covered
     assert ways[0].covered
@@ -217,13 +218,13 @@ def test_a_detour_home_is_seen_to_be_uncovered() -> None:
 
 def test_return_leaves_the_path_where_a_field_is_near() -> None:
     """A field beside the path at 1300 m: later on, where the straight way to it is not covered, back there and over."""
-    document = two_discs().to_document()
+    document = write_mission(two_discs())
     document["stations"] = [
         {"id": name, "east_m": east, "north_m": north, "up_m": 100.0, "range_m": 620.0}
         for name, east, north in (("A", 0, 0), ("B", 1000, 0), ("C", 2000, 0), ("N", 1200, 1000))
     ]
     document["limits"] = {**GOOD_LOCAL["limits"], "max_speed_m_s": 10.0}
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     path = straight((0, 0, 100), (500, 0, 100), (1500, 0, 100), (2000, 0, 100), speed_m_s=10.0, stations=[0, 1, 2])
     ways = contingencies(with_safe_points(mission, field=(1300.0, 900.0)), path)
     last = ways[-1]
@@ -238,7 +239,7 @@ def test_return_leaves_the_path_where_a_field_is_near() -> None:
 def test_ways_out_said_to_be_covered_are(seed: int) -> None:
     """Random stations and fields along a path: every divert, from any time of its span, stays in some range."""
     rng = np.random.default_rng(seed)
-    document = two_discs().to_document()
+    document = write_mission(two_discs())
     document["stations"] = [
         {
             "id": f"s{k}",
@@ -250,12 +251,12 @@ def test_ways_out_said_to_be_covered_are(seed: int) -> None:
         }
         for k in range(5)
     ]
-    mission = Mission.from_document(document)
+    mission = read_mission(document)
     fields = {f"f{k}": (float(rng.uniform(-500, 4000)), float(rng.uniform(-1500, 1500))) for k in range(4)}
-    ground = with_safe_points(mission, **fields)
+    geometry = with_safe_points(mission, **fields)
     path = straight((0, 0, 110), (1600, 200, 105), (3200, -100, 115), speed_m_s=40.0, stations=[0, 3])
     everywhere = np.arange(len(mission.stations))
-    for way in contingencies(ground, path):
+    for way in contingencies(geometry, path):
         assert way.covered
         if way.action == "divert":
             target = np.array([*fields[way.safe_point or ""], 0.0])
@@ -264,11 +265,11 @@ def test_ways_out_said_to_be_covered_are(seed: int) -> None:
                 over = np.array([target[0], target[1], begin[2]])
                 u = np.linspace(0, 1, 60)[:, None]
                 line = np.concatenate([begin + u * (over - begin), over + u * (target - over)])
-                outside = ground.outside_m(everywhere[:, None], np.broadcast_to(line, (len(everywhere), *line.shape)))
+                outside = geometry.outside_m(everywhere[:, None], np.broadcast_to(line, (len(everywhere), *line.shape)))
                 assert outside.min(axis=0).max() <= 1e-9
         if way.straight_home_covered:
             for time in np.linspace(way.from_s, way.to_s, 7):
                 begin, home = path.evaluate(time), path.evaluate(0.0)
                 line = begin + np.linspace(0, 1, 60)[:, None] * (np.array([home[0], home[1], begin[2]]) - begin)
-                outside = ground.outside_m(everywhere[:, None], np.broadcast_to(line, (len(everywhere), *line.shape)))
+                outside = geometry.outside_m(everywhere[:, None], np.broadcast_to(line, (len(everywhere), *line.shape)))
                 assert outside.min(axis=0).max() <= 1e-9

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 
 from gcs.errors import PlanError
 from gcs.layout.planning_problem import lay_out
+from gcs.mission import read_mission
 from gcs.mission.document import parse_mission_json
-from gcs.mission.model import Mission
+from gcs.plan import read_plan
 from gcs.plan.model import UNHASHED, Plan, hash_of
 from gcs.planning.certification import recertify
 from gcs.planning.mission_planning import plan_mission
@@ -32,16 +33,16 @@ from tests.support.paths import MISSIONS
 @pytest.fixture(scope="module")
 def relay() -> Plan:
     """Den Helder to Texel: two stations, one handover."""
-    return plan_mission(Mission.from_document(GOOD))
+    return plan_mission(read_mission(GOOD))
 
 
 @pytest.fixture(scope="module")
 def flat() -> Plan:
-    return plan_mission(Mission.from_document(GOOD_LOCAL))
+    return plan_mission(read_mission(GOOD_LOCAL))
 
 
 def planned(document: dict[str, Any]) -> Plan:
-    plan = plan_mission(Mission.from_document(document), fast=True)
+    plan = plan_mission(read_mission(document), fast=True)
     written = json.loads(json.dumps(plan.to_document(), allow_nan=False))
     assert check_plan(written, document) == []
     return plan
@@ -53,7 +54,7 @@ def test_shipped_missions_plan_and_pass_the_checker(name: str) -> None:
     plan = plan_mission(parse_mission_json(raw), fast=True)
     written = json.dumps(plan.to_document(), allow_nan=False)
     assert check_plan(json.loads(written), json.loads(raw)) == []
-    again = Plan.from_document(json.loads(written))
+    again = read_plan(json.loads(written))
     assert json.dumps(again.to_document()) == written
     assert plan.lower_bound_s <= plan.mission_time_s
 
@@ -112,16 +113,16 @@ def test_the_hash_is_the_contract_s(relay: Plan) -> None:
 
 def test_same_mission_same_plan(relay: Plan) -> None:
     moment = datetime(2026, 11, 22, 9, 0, tzinfo=timezone(timedelta(hours=1)))
-    again = plan_mission(Mission.from_document(GOOD), created_utc=moment)
+    again = plan_mission(read_mission(GOOD), created_utc=moment)
     assert again.plan_sha256 == relay.plan_sha256
     assert again.created_utc == "2026-11-22T08:00:00Z"
-    assert plan_mission(Mission.from_document({**GOOD, "name": "Another"})).plan_sha256 != relay.plan_sha256
+    assert plan_mission(read_mission({**GOOD, "name": "Another"})).plan_sha256 != relay.plan_sha256
 
 
 def test_a_document_through_other_hands_is_the_same_plan(relay: Plan) -> None:
     """Keys sorted, 30.0 written as 30, Unicode escaped: the hash still fits and the same plan comes out."""
     text = json.dumps(relay.to_document(), sort_keys=True, ensure_ascii=True).replace("30.0,", "30,")
-    again = Plan.from_document(json.loads(text))
+    again = read_plan(json.loads(text))
     assert again.to_document() == relay.to_document()
     assert again.trajectory.knots_s.tolist() == relay.trajectory.knots_s.tolist()
     assert again.handovers == relay.handovers
@@ -177,7 +178,7 @@ def altered(plan: Plan, path: tuple[Any, ...], value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(("path", "value", "where"), [c[1:] for c in ALTERED], ids=[c[0] for c in ALTERED])
 def test_altered_plans_are_refused(relay: Plan, path: tuple[Any, ...], value: Any, where: str) -> None:
     with pytest.raises(PlanError, match="altered") as caught:
-        Plan.from_document(altered(relay, path, value))
+        read_plan(altered(relay, path, value))
     assert caught.value.where == where
 
 
@@ -187,7 +188,7 @@ def test_plans_that_disagree_with_themselves_are_refused(
 ) -> None:
     """Sealed with a right hash, so that only looking closer tells."""
     with pytest.raises(PlanError) as caught:
-        Plan.from_document(resealed(altered(relay, path, value)))
+        read_plan(resealed(altered(relay, path, value)))
     assert caught.value.where.startswith(where), caught.value
 
 
@@ -209,10 +210,10 @@ def test_no_value_of_a_plan_can_be_changed_unnoticed(flat: Plan, data: st.DataOb
     if json.dumps(changed) == json.dumps(document):
         return
     with pytest.raises(PlanError):
-        Plan.from_document(changed)
+        read_plan(changed)
     try:
         sealed = resealed(changed)
-        plan = Plan.from_document(sealed)
+        plan = read_plan(sealed)
     except PlanError:
         return
     assert plan.to_document() == sealed
@@ -221,7 +222,7 @@ def test_no_value_of_a_plan_can_be_changed_unnoticed(flat: Plan, data: st.DataOb
 @pytest.mark.parametrize("document", [None, [], "plan", 5, {}, {"plan_sha256": "x"}, GOOD])
 def test_what_is_no_plan_is_refused(document: Any) -> None:
     with pytest.raises(PlanError):
-        Plan.from_document(document)
+        read_plan(document)
 
 
 def test_every_missing_field_is_named(relay: Plan) -> None:
@@ -229,7 +230,7 @@ def test_every_missing_field_is_named(relay: Plan) -> None:
         document = relay.to_document()
         del document[key]
         with pytest.raises(PlanError) as caught:
-            Plan.from_document(document)
+            read_plan(document)
         assert caught.value.where in (key, "plan_sha256")
 
 
@@ -255,12 +256,12 @@ def test_local_missions_are_planned_in_their_own_numbers(flat: Plan) -> None:
     laid = lay_out(flat.mission)
     assert laid.problem.ranges_m.tolist() == [1000.0, 1000.0]
     assert laid.problem.limits.max_speed_m_s == 50.0
-    # 1500 m at 50 m/s and 5 m/s^2: 40 s, and bends at the lens cost nothing here
+    # 1500 m at 50 m/s and 5 m/s^2: 40 s, and bends at the overlap cost nothing here
     assert flat.lower_bound_s == pytest.approx(40.0, abs=1e-6)
 
 
 def test_ranges_on_the_earth_lose_margin_and_projection() -> None:
-    laid = lay_out(Mission.from_document(GOOD))
+    laid = lay_out(read_mission(GOOD))
     for planned_m, station in zip(laid.problem.ranges_m, GOOD["stations"], strict=True):
         assert station["range_m"] - 25.0 - 1.0 < planned_m < station["range_m"] - 25.0
     assert laid.problem.bound_ranges_m is not None
@@ -328,7 +329,7 @@ def test_wind_and_elevation_on_the_earth() -> None:
     true = np.einsum("nij,nj->ni", axes, velocity[:, :2]) - np.array([6.0, -4.0])
     assert np.hypot(np.hypot(true[:, 0], true[:, 1]), velocity[:, 2]).max() <= 25.0
     assert plan.lower_bound_s <= plan.mission_time_s
-    outside = plan.ground.outside_m(plan.trajectory.station_index[plan.trajectory.segment_at(times)], at)
+    outside = plan.geometry.outside_m(plan.trajectory.station_index[plan.trajectory.segment_at(times)], at)
     assert outside.max() <= 0.0
 
 
@@ -360,13 +361,13 @@ def test_start_is_the_destination() -> None:
 
 def test_progress_is_told_in_order() -> None:
     told: list[tuple[str, float]] = []
-    plan_mission(Mission.from_document(GOOD_LOCAL), progress=lambda *step: told.append(step))
+    plan_mission(read_mission(GOOD_LOCAL), progress=lambda *step: told.append(step))
     assert [phase for phase, _ in told] == ["preparing", "planning", "scheduling", "done"]
     assert all(a < b for (_, a), (_, b) in itertools.pairwise(told))
 
 
 def test_notes_and_time_limits_are_recorded() -> None:
-    plan = plan_mission(Mission.from_document(GOOD_LOCAL), notes=["the first attempt hung"], time_limit_s=30.0)
+    plan = plan_mission(read_mission(GOOD_LOCAL), notes=["the first attempt hung"], time_limit_s=30.0)
     assert plan.notes[0] == "the first attempt hung"
     assert any("time limit of 30 s" in note for note in plan.notes)
     assert plan.created_utc <= datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -12,7 +12,9 @@ import pytest
 
 from gcs.errors import MissionError, MissionInfeasible
 from gcs.jobs.worker import answer
-from gcs.mission.model import LocalPosition, Mission
+from gcs.mission import read_mission
+from gcs.mission.model import LocalPosition
+from gcs.plan import read_plan
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 from gcs.planning.replan import LEAST_PIECE_S, Replanned, ReplanOrder, replan
@@ -35,13 +37,13 @@ def earth_plan() -> Plan:
         "stations": stations,
         "limits": {"min_alt_amsl_m": 90.0, "max_alt_amsl_m": 120.0, "max_speed_m_s": 30.0, "max_accel_m_s2": 2.5},
     }
-    return plan_mission(Mission.from_document(document), fast=True)
+    return plan_mission(read_mission(document), fast=True)
 
 
 def holds(new: Replanned, old: Plan, join_s: float) -> None:
     """What every replan must hold: a document that reads back, an independent proof, the flown part as flown."""
     document = json.loads(json.dumps(new.plan.to_document()))
-    assert Plan.from_document(document).plan_sha256 == new.plan.plan_sha256
+    assert read_plan(document).plan_sha256 == new.plan.plan_sha256
     # The ids that were given out stay, so the mission the judge compares with is the plan's own.
     assert check_plan(document, document["mission"]) == []
     ids = {s.id: s.system_id for s in old.mission.stations if s.system_id is not None}
@@ -133,7 +135,7 @@ def test_no_piece_is_left_too_short_for_the_rounding_of_its_coordinates(after: f
 @pytest.mark.parametrize("stand_s", [1.0, 3.0, 5.0, 7.5])
 def test_a_flight_that_stops_while_it_speeds_up_goes_on_from_there(stand_s: float) -> None:
     name = resources.files("sitl_fixtures").joinpath("missions", "paper_like", "M300_02.json")
-    old = plan_mission(Mission.from_document(json.loads(name.read_bytes())), **FAST)
+    old = plan_mission(read_mission(json.loads(name.read_bytes())), **FAST)
     holds(replan(old, stand_s, at_rest=True, **FAST), old, stand_s)
 
 
@@ -156,7 +158,7 @@ def test_what_cannot_be_replanned_is_refused_with_a_reason() -> None:
 def test_endurance_counts_from_the_launch() -> None:
     document = wide_document()
     document["limits"]["endurance_s"] = wide_plan().mission_time_s + 5.0
-    old = plan_mission(Mission.from_document(document), fast=True)
+    old = plan_mission(read_mission(document), fast=True)
     assert replan(old, 20.0, elapsed_s=21.0, **FAST).plan.mission.limits == old.mission.limits
     with pytest.raises(MissionInfeasible) as refusal:
         replan(old, 20.0, elapsed_s=30.0, **FAST)
@@ -175,6 +177,6 @@ def test_a_planning_process_takes_the_order_and_answers_with_the_joined_plan() -
     answer(Channel(), {"task": 1, "replan": order, "method": "fast"})  # type: ignore[arg-type]
     result = sent[-1]["plan"]
     assert (result["join_s"], result["at_rest"]) == (5.0, False)
-    assert "s2" not in Plan.from_document(result["plan"]).station_ids
+    assert "s2" not in read_plan(result["plan"]).station_ids
     answer(Channel(), {"task": 2, "replan": {**order, "join_s": 1e6}})  # type: ignore[arg-type]
     assert sent[-1]["infeasible"]["reason"] == "join"

@@ -12,6 +12,7 @@ import pytest
 
 from gcs.errors import MissionInfeasible
 from gcs.layout.planning_problem import lay_out
+from gcs.mission import read_mission
 from gcs.mission.model import Mission
 from gcs.planning.mission_planning import plan_mission
 from planner.infeasibility.diagnosis import diagnose
@@ -25,7 +26,7 @@ NAMES = [case[0] for case in INFEASIBLE]
 
 def infeasible(document: dict[str, Any]) -> MissionInfeasible:
     with pytest.raises(MissionInfeasible) as caught:
-        plan_mission(Mission.from_document(document), fast=True)
+        plan_mission(read_mission(document), fast=True)
     return caught.value
 
 
@@ -234,13 +235,13 @@ def test_every_fix_offered_works_and_is_the_least(name: str, document: dict[str,
     for fix in found:
         mended = apply(document, fix)
         try:
-            plan = plan_mission(Mission.from_document(mended), fast=True)
+            plan = plan_mission(read_mission(mended), fast=True)
         except MissionInfeasible as still:
             raise AssertionError(f"{fix} did not help: {still}") from None
         assert check_plan(json.loads(json.dumps(plan.to_document())), mended) == [], fix
         less = smaller(document, fix)
         if less is not None:
-            assert not possible(Mission.from_document(apply(document, less))), f"less than {fix} is enough"
+            assert not possible(read_mission(apply(document, less))), f"less than {fix} is enough"
 
 
 @pytest.mark.slow
@@ -252,13 +253,13 @@ def test_a_start_that_cannot_stop_in_time() -> None:
     assert {fix["action"] for fix in found} == {"lower_start_speed", "raise_limit", "widen_band"}
     assert found[0]["below_m_s"] == pytest.approx(9.7, abs=0.25)
     for fix in found:
-        assert outcome(Mission.from_document(apply(document, fix))) is None
+        assert outcome(read_mission(apply(document, fix))) is None
         less = smaller(document, fix)
-        assert less is None or outcome(Mission.from_document(apply(document, less))) is not None
+        assert less is None or outcome(read_mission(apply(document, less))) is not None
 
 
 def test_the_smallest_fix_comes_first() -> None:
-    """Metres in all, of one kind against the other: a lens short of 30 m, a margin of 25 m that can be 9.98 m."""
+    """Metres in all, of one kind against the other: an overlap short of 30 m, a margin of 25 m that can be 9.98 m."""
     error = infeasible(local(stations__1__east_m=1970.0, destination__east_m=1970.0, options__range_margin_m=25.0))
     asked = [fix["by_m"] for fix in remedies(error.fix) if fix["action"] in ("lower_margin", "raise_range")]
     assert asked == sorted(asked)
@@ -313,14 +314,14 @@ def test_uncovered_start_tells_how_far() -> None:
 
 
 def test_the_margin_named_is_the_largest_that_holds() -> None:
-    """Lens of 19.97 m depth between two stations: each may lose half of it, 9.98 m, not 10.05."""
+    """Overlap of 19.97 m depth between two stations: each may lose half of it, 9.98 m, not 10.05."""
     document = local(stations__1__east_m=1970.0, destination__east_m=1970.0, options__range_margin_m=25.0)
     error = infeasible(document)
     fix = next(f for f in remedies(error.fix) if f["action"] == "lower_margin")
     margin = fix["range_margin_m"]
-    assert diagnose(lay_out(Mission.from_document(apply(document, fix))).problem) is None
+    assert diagnose(lay_out(read_mission(apply(document, fix))).problem) is None
     worse = {**document, "options": {**document["options"], "range_margin_m": margin + 0.05}}
-    assert diagnose(lay_out(Mission.from_document(worse)).problem) is not None
+    assert diagnose(lay_out(read_mission(worse)).problem) is not None
 
 
 @pytest.mark.parametrize("short_m", [0.5, 40.0, 900.0])
@@ -332,6 +333,6 @@ def test_a_fix_on_the_earth_counts_the_projection_in(short_m: float) -> None:
     raised = next(s for s in document["stations"] if s["id"] == error.fix["station"])
     document["stations"][1]["range_m"] = 5_600.0 - short_m
     raised["range_m"] += error.fix["by_m"]
-    assert diagnose(lay_out(Mission.from_document(document)).problem) is None
+    assert diagnose(lay_out(read_mission(document)).problem) is None
     raised["range_m"] -= 0.02
-    assert diagnose(lay_out(Mission.from_document(document)).problem) is not None
+    assert diagnose(lay_out(read_mission(document)).problem) is not None

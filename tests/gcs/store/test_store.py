@@ -17,7 +17,7 @@ from sqlalchemy.exc import IntegrityError
 
 from gcs.errors import ConflictError, MissionInfeasible, NotFoundError, QueueFullError, StoreUnavailable
 from gcs.flight import EventKind, FlightEvent, FlightState
-from gcs.mission.model import Mission
+from gcs.mission import read_mission, write_mission
 from gcs.settings import Settings
 from gcs.store.missions import Idempotency
 from gcs.store.store import Store
@@ -25,7 +25,7 @@ from gcs.store.tables import metadata
 from tests.support.malformed_missions import GOOD, GOOD_LOCAL
 from tests.support.paths import ROOT
 
-DOCUMENT = Mission.from_document(GOOD).to_document()
+DOCUMENT = write_mission(read_mission(GOOD))
 HASH = "a" * 64
 
 
@@ -180,7 +180,7 @@ def test_safety_copy_while_in_use(tmp_path: Path, store: Store) -> None:
 
 
 def test_a_mission_is_kept_to_the_last_digit(store: Store) -> None:
-    document = Mission.from_document({**GOOD_LOCAL, "name": "Ünï → 日本"}).to_document()
+    document = write_mission(read_mission({**GOOD_LOCAL, "name": "Ünï → 日本"}))
     document["start"]["east_m"] = 0.1 + 0.2  # type: ignore[index]
     record, new = store.missions.add(document)
     assert new

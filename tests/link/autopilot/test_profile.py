@@ -28,10 +28,12 @@ from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
 from link.errors import LinkError, MissingOrigin, UnsafeSetpoint
 from link.microservices.parameter_value import Parameter
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
+from link.telemetry.vehicle_monitor import Heartbeat
 from link.wire.codec import StationCodec
 from tests.support.drawn_plans import relay_plan
+from tests.support.heartbeats import is_autopilot
 from tests.support.recordings import NAMES, autopilot_of, load, received
 
 DEN_HELDER = EkfOrigin(53.0, 4.8, 12.5)
@@ -184,7 +186,7 @@ def test_ardupilot_is_not_sent_anything_before_its_origin_is_known() -> None:
 def test_the_place_meant_is_the_place_the_vehicle_goes_to(name: str) -> None:
     """100 km from the vehicle's origin the true target is within 2 cm of the plan (float32 steps by 8 mm there)."""
     profile = PROFILES[name]
-    stream = SetpointStream(relay_plan(), 0.5)
+    stream = SetpointSampler(relay_plan(), 0.5)
     there = Plane(53.0, 4.8).to_geodetic(-70_000.0, -71_000.0)
     origin = EkfOrigin(float(there[0]), float(there[1]), 3.0)
     for sample in stream:
@@ -202,7 +204,7 @@ def test_the_place_meant_is_the_place_the_vehicle_goes_to(name: str) -> None:
 
 def test_one_mask_for_the_whole_flight_hold_included() -> None:
     """ArduCopter starts its controller anew when the mask changes; and only full triples are never misread."""
-    sample = SetpointStream(relay_plan(), 20.0).at(77.0)
+    sample = SetpointSampler(relay_plan(), 20.0).at(77.0)
     for profile in PROFILES.values():
         masks = {
             profile.encode(s, target_system=1, origin=DEN_HELDER).type_mask
@@ -378,12 +380,12 @@ def test_every_recorded_heartbeat_has_a_mode_we_know(name: str) -> None:
         numbers[fields["custom_mode"], fields["base_mode"]] = fields
     for fields in numbers.values():
         beat = heartbeat(fields)
-        assert profile.is_autopilot(beat)
-        assert not other.is_autopilot(beat)
+        assert is_autopilot(profile, beat)
+        assert not is_autopilot(other, beat)
         mode = profile.mode_of(beat)
         assert mode in profile.modes
         assert profile.is_offboard(beat) == (mode in ("OFFBOARD", "GUIDED"))
-        assert profile.is_armed(beat) == bool(fields["base_mode"] & 128)
+        assert Heartbeat.from_message(0.0, beat).armed == bool(fields["base_mode"] & 128)
 
 
 def test_modes_by_hand() -> None:
@@ -431,11 +433,11 @@ def test_heartbeats_of_others_are_not_the_autopilot() -> None:
     """A gimbal of the vehicle, a ground station with the vehicle's own id, and a message of another kind."""
     base = {"type": 2, "autopilot": 3, "base_mode": 81, "custom_mode": 4, "system_status": 4, "mavlink_version": 3}
     profile = PROFILES["ardupilot"]
-    assert profile.is_autopilot(heartbeat(base))
-    assert not profile.is_autopilot(heartbeat(base, component=154))
-    assert not profile.is_autopilot(heartbeat({**base, "type": 6}))
-    assert not profile.is_autopilot(heartbeat({**base, "autopilot": 8}))
-    assert not profile.is_autopilot(over_the_wire(PROFILES["px4"].encode(GOOD, target_system=1)))
+    assert is_autopilot(profile, heartbeat(base))
+    assert not is_autopilot(profile, heartbeat(base, component=154))
+    assert not is_autopilot(profile, heartbeat({**base, "type": 6}))
+    assert not is_autopilot(profile, heartbeat({**base, "autopilot": 8}))
+    assert not is_autopilot(profile, over_the_wire(PROFILES["px4"].encode(GOOD, target_system=1)))
 
 
 # ---------------------------------------------------------------- parameters

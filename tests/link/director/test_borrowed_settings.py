@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gcs.flight import FlightState
-from sitl_fixtures.mavlink.mission_protocol import FENCE, RALLY, Item
+from sitl_fixtures.mavlink import FENCE, RALLY, Item
 from tests.support.flight_plans import relay_plan
 from tests.support.ground_flight import FIELDS, GROUND_M, checks, on_ground, safe_plan
 from tests.support.virtual_flight import Proxy, VirtualFlight
@@ -50,7 +50,7 @@ def test_the_covered_safe_points_become_rally_points_and_go_again_after_the_flig
     expected = []
     for point in plan.mission.safe_points:
         if point.id in FIELDS:
-            place = plan.ground.geo(plan.ground.enu_m([point.position])[0])
+            place = plan.geometry.geo(plan.geometry.enu_m([point.position])[0])
             # PX4 takes it above sea level; ArduPilot above home, which is 35 m up: 28 m is below it.
             altitude_m = GROUND_M if autopilot == "px4" else 0.0
             expected.append((round(place.lat_deg * 1e7), round(place.lon_deg * 1e7), altitude_m))
@@ -94,13 +94,13 @@ def test_a_vehicle_that_holds_them_already_is_not_written_to(autopilot: str) -> 
 def test_a_vehicle_that_refuses_rally_points_flies_and_its_own_return_goes_home(autopilot: str) -> None:
     one = flight_with(autopilot, limit_s=0.0)
     missions = one.vehicle.missions
-    missions.manners = replace(missions.manners, capacity={**missions.manners.capacity, RALLY: 2})
+    missions.rules = replace(missions.rules, capacity={**missions.rules.capacity, RALLY: 2})
     one.run(until=lambda: one.core.state is FlightState.READY, limit_s=400.0)
     assert one.core.state is FlightState.READY
     told = checks(one)
     assert told["rally points"]["level"] == "warning"
     assert "more items than it has room for" in told["rally points"]["message"]
-    assert told["own return"]["value"]["places"] == ["home"]
+    assert told["failsafe return"]["value"]["places"] == ["home"]
 
 
 @BOTH
@@ -152,7 +152,7 @@ def test_rally_points_of_its_own_are_where_its_return_goes() -> None:
     one = flight_with("px4", rally=(OLD,), plan=relay_plan(2))
     told = checks(one)
     assert told["rally points"]["message"] == "the vehicle holds 1 of its own"
-    assert "rally point 1" in told["own return"]["value"]["places"]
+    assert "rally point 1" in told["failsafe return"]["value"]["places"]
     assert len(held(one)) == 1
 
 
@@ -167,7 +167,7 @@ def test_the_limit_that_makes_ardupilot_ignore_rally_points_is_lifted_on_the_sim
     assert told["RALLY_LIMIT_KM"]["level"] == "warning"
     assert told["RALLY_LIMIT_KM"]["fix"] == "set RALLY_LIMIT_KM to 0"
     # 50 m from the path no field counts: everything returns home.
-    assert told["own return"]["value"]["places"] == ["home"]
+    assert told["failsafe return"]["value"]["places"] == ["home"]
 
 
 @BOTH

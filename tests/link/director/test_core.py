@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcs.flight import FlightState, TransitionError, Word
+from gcs.flight import FlightState, OperatorCommand, TransitionError
 from gcs.mission.model import LocalPosition
 from link.session.timeline import plain
 from tests.support.flight_plans import relay_plan
@@ -37,7 +37,7 @@ def in_cruise(autopilot: str, plan_s: float = 0.0, stations: int = 2, **settings
 def refusal(one: VirtualFlight) -> str:
     """Runs a flight that must be refused; why it was."""
     assert one.run(limit_s=400.0) is FlightState.REFUSED
-    assert not one.vehicle.personality.armed
+    assert not one.vehicle.autopilot.armed
     assert one.said("result")[0].data["exit_code"] == 4
     return str(one.said("state", to="refused")[0].data["reason"])
 
@@ -60,8 +60,7 @@ def test_a_vehicle_that_is_not_there_is_told_by_link_and_id() -> None:
 
 def test_another_autopilot_than_asked_for_is_refused() -> None:
     one = flight("ardupilot")
-    from sitl_fixtures.vehicle.config import SimulatorConfig
-    from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+    from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 
     one.vehicle = SimulatedAutopilot(SimulatorConfig(autopilot="px4", home=one.vehicle.home_place, links=2))
     assert "not ArduPilot" in refusal(one)
@@ -102,7 +101,7 @@ def test_a_vehicle_elsewhere_is_refused_with_the_distance() -> None:
 
 def test_a_dead_link_of_a_later_station_is_found_before_take_off() -> None:
     one = flight("px4", proxy=Proxy(cuts=[("s2", 0.0, 1e9)]))
-    assert "link s2: the vehicle is not heard over it" in refusal(one)
+    assert "link s2: no C2 link: the vehicle is not heard over it" in refusal(one)
 
 
 @BOTH
@@ -120,8 +119,8 @@ def test_the_ground_waits_for_the_word_and_judges_again_when_it_comes_late(autop
     one.run_for(90.0)
     assert one.core.state is FlightState.READY
     assert one.core.status()["preflight_age_s"] > 60.0
-    assert not one.vehicle.personality.armed
-    one.core.command(Word.LAUNCH, by="pilot")
+    assert not one.vehicle.autopilot.armed
+    one.core.command(OperatorCommand.LAUNCH, by="pilot")
     one.run(until=lambda: one.core.state.airborne, limit_s=60.0)
     assert one.states.count("preflight") == 2
     assert one.core.state.airborne
@@ -342,7 +341,7 @@ def test_a_stream_that_lapsed_is_not_taken_up_again_until_a_person_says_so(autop
     one.run_for(0.2)
     assert one.core.state is FlightState.LAPSED
     assert accepted_after(one, 60.0) == 0
-    assert one.vehicle.personality.mode_name == HOLD[autopilot]
+    assert one.vehicle.autopilot.mode_name == HOLD[autopilot]
     assert one.vehicle.body.speed_m_s < 0.5
     one.core.command("resume", by="pilot")
     one.run(until=lambda: one.core.state is FlightState.TRANSIT, limit_s=20.0)
@@ -364,9 +363,9 @@ def test_px4_that_still_shows_offboard_after_a_lapse_is_told_to_hold() -> None:
     one.frozen = True
     one.run_for(4.85)
     one.frozen = False
-    one.run(until=lambda: one.vehicle.personality.mode_name == "HOLD", limit_s=2.0)
+    one.run(until=lambda: one.vehicle.autopilot.mode_name == "HOLD", limit_s=2.0)
     assert one.core.state is FlightState.LAPSED
-    assert one.vehicle.personality.mode_name == "HOLD"
+    assert one.vehicle.autopilot.mode_name == "HOLD"
 
 
 @pytest.mark.slow
@@ -410,7 +409,7 @@ def test_a_restarted_autopilot_gets_nothing_more(autopilot: str) -> None:
 def test_somebody_elses_targets_are_noticed_within_a_second(autopilot: str) -> None:
     # On ArduPilot the range of ids keeps the stranger out: nothing to notice.
     # Between two of ours: in the same tick, just before ours, the vehicle would never follow it.
-    one = in_cruise(autopilot, 5.0, config={"faults": ("stranger-streams@T20.02+5",)})
+    one = in_cruise(autopilot, 5.0, config={"faults": ("foreign-station-streams@T20.02+5",)})
     one.run_for(30.0)
     strange = one.said("alarm", what="the vehicle holds a target that is not ours")
     assert bool(strange) == (autopilot == "px4")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gcs.flight import FlightState, TransitionError
+from gcs.mission import read_mission
 from gcs.mission.model import LocalPosition
 from gcs.plan.model import Plan
 from gcs.planning.replan import Replanned, replan
@@ -215,9 +216,8 @@ def _with_ids(plan: Plan, first: int) -> Plan:
 
 
 def _moved(document: dict[str, Any]) -> dict[str, Any]:
-    from gcs.mission.model import Mission
     from gcs.planning.mission_planning import plan_mission
 
     mission = dict(document["mission"])
     mission["origin"] = {**mission["origin"], "lat_deg": 40.0}
-    return plan_mission(Mission.from_document(mission), fast=True).to_document()
+    return plan_mission(read_mission(mission), fast=True).to_document()

@@ -6,11 +6,7 @@ no two setpoints it obeyed lie further apart than two sample periods across a ha
 
 from __future__ import annotations
 
-import gzip
-import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +14,7 @@ import pytest
 import sitl_fixtures
 from gcs.flight import FlightState
 from tests.support.flight_plans import relay_plan
+from tests.support.recordings import load
 from tests.support.virtual_flight import VirtualFlight, handover_gaps_s, one_station_at_a_time
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
@@ -64,7 +61,7 @@ def test_a_link_dead_before_a_handover_ends_in_one_owner_and_in_coverage(
     one.proxy.cuts.append((dead, one.now_s, 1e9))
     end = one.run(limit_s=500.0)
     one_station_at_a_time(one)
-    assert not one.vehicle.personality.armed
+    assert not one.vehicle.autopilot.armed
     if which == "old":
         assert end is FlightState.COMPLETED
         patience_s = {"px4": 0.6, "ardupilot": 1.8}[autopilot]
@@ -78,13 +75,6 @@ def test_a_link_dead_before_a_handover_ends_in_one_owner_and_in_coverage(
         assert furthest < planned.overlap_end_s
 
 
-def recorded(name: str) -> Iterator[dict[str, Any]]:
-    with gzip.open(MISSIONS.parent / "recordings" / name, "rt") as stream:
-        next(stream)
-        for line in stream:
-            yield json.loads(line)
-
-
 def test_real_px4_echoes_name_the_setpoint_they_hold() -> None:
     """From a recorded flight: what the monitor believes about echoes is what a real PX4 says."""
     from types import SimpleNamespace
@@ -92,7 +82,7 @@ def test_real_px4_echoes_name_the_setpoint_they_hold() -> None:
     from link.telemetry.setpoint_echo import EchoTracker, Sent
 
     echoes, named, asked = EchoTracker(runs_on=False), 0, 0
-    for line in recorded("px4-nominal.jsonl.gz"):
+    for line in load("px4-nominal")[1]:
         f = line.get("fields", {})
         if line.get("msg") == "SET_POSITION_TARGET_LOCAL_NED" and f["type_mask"] == 3072:
             echoes.note(

@@ -13,7 +13,7 @@ from link.errors import ReportError
 from link.files.flight_report import report_flight
 from link.files.link_report import History, LinkReport
 from link.files.tlog import TlogWriter
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.wire.codec import StationCodec
 from tests.support.flight_plans import relay_plan
 
@@ -42,7 +42,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     vehicle = StationCodec(1, 1)
     records: list[tuple[float, bytes]] = []
     # But for the last, which is at the mission time, between two ticks.
-    for k, setpoint in enumerate(list(SetpointStream(PLAN, 20.0))[:-1]):
+    for k, setpoint in enumerate(list(SetpointSampler(PLAN, 20.0))[:-1]):
         message = mavlink.MAVLink_set_position_target_global_int_message(
             0, 1, 1, 5, 0, round(setpoint.lat_deg * 1e7), round(setpoint.lon_deg * 1e7), setpoint.alt_amsl_m,
             *setpoint.velocity_ned_m_s, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -93,7 +93,7 @@ def test_events_add_failovers_and_the_streamers_own_count(log: Path, tmp_path: P
     events.write_bytes(b"".join([*moved, result()]) + b'{"cut sho')
     report = report_flight(log, PLAN, events)
     assert [link.failovers for link in report.links] == [2, 0]
-    assert "at worst, another way sent 2 times\n" in report.to_text()
+    assert "at worst, another link path sent 2 times\n" in report.to_text()
     assert (report.lateness_p50_ms, report.lateness_p99_ms, report.lateness_worst_ms) == (0.1, 0.2, 0.7)
     assert (report.lateness_from, report.skipped_ticks) == ("streamer", 3)
     assert "worst 0.7 ms, 3 skipped (the streamer's own count)\n" in report.to_text()
@@ -131,7 +131,7 @@ def test_what_frames_take_is_no_error_of_the_vehicle(tmp_path: Path, way_s: floa
     """A vehicle that is where the newest setpoint it has asks it to be, on links that take ``way_s`` each way."""
     codecs, vehicle = {s: StationCodec(number) for s, number in IDS.items()}, StationCodec(1, 1)
     records: list[tuple[float, bytes]] = []
-    for setpoint in list(SetpointStream(PLAN, 20.0))[:-1]:
+    for setpoint in list(SetpointSampler(PLAN, 20.0))[:-1]:
         lat, lon = round(setpoint.lat_deg * 1e7), round(setpoint.lon_deg * 1e7)
         message = mavlink.MAVLink_set_position_target_global_int_message(
             0, 1, 1, 5, 0, lat, lon, setpoint.alt_amsl_m, *setpoint.velocity_ned_m_s, 0.0, 0.0, 0.0, 0.0, 0.0

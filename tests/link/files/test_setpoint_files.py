@@ -6,8 +6,6 @@ import csv
 import io
 import json
 import math
-import os
-import stat
 import struct
 import subprocess
 import sys
@@ -20,8 +18,8 @@ from pymavlink import mavutil
 
 from gcs.plan.model import Plan
 from link.autopilot.local_frame import EkfOrigin, ardupilot_lat_lon_deg
-from link.files.setpoint_files import COLUMNS, atomic_file, setpoint_file, write_setpoints
-from link.setpoints.sampler import SetpointStream
+from link.files.setpoint_files import COLUMNS, setpoint_file
+from link.setpoints.sampler import SetpointSampler
 from tests.support.drawn_plans import make_plan, relay_plan, rest_to_rest, with_handovers
 
 HEADER = (
@@ -103,7 +101,7 @@ def test_csv_yaw_of_360_is_written_as_0() -> None:
 def test_jsonl_has_the_same_names_and_unrounded_numbers() -> None:
     plan = relay_plan()
     rows = [json.loads(line) for line in content(plan, 5.0, "jsonl").decode().splitlines()]
-    samples = list(SetpointStream(plan, 5.0))
+    samples = list(SetpointSampler(plan, 5.0))
     assert len(rows) == len(samples)
     for row, sample in zip(rows, samples, strict=True):
         assert tuple(row) == COLUMNS
@@ -130,9 +128,9 @@ def read_with_mavutil(path: Path) -> list[object]:
 def test_px4_log_read_back_by_mavutil(tmp_path: Path) -> None:
     plan = relay_plan()
     path = tmp_path / "plan.tlog"
-    write_setpoints(plan, 20.0, "tlog", path, autopilot="px4", launch=LAUNCH)
+    path.write_bytes(content(plan, 20.0, "tlog", autopilot="px4", launch=LAUNCH))
     messages = read_with_mavutil(path)
-    samples = list(SetpointStream(plan, 20.0))
+    samples = list(SetpointSampler(plan, 20.0))
     setpoints = [m for m in messages if m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"]
     assert len(setpoints) == len(samples)
     for message, sample in zip(setpoints, samples, strict=True):
@@ -157,13 +155,13 @@ def test_px4_log_read_back_by_mavutil(tmp_path: Path) -> None:
 def test_ardupilot_log_is_in_its_own_frame_from_the_origin_it_names(tmp_path: Path) -> None:
     plan = relay_plan()
     path = tmp_path / "plan.tlog"
-    write_setpoints(plan, 10.0, "tlog", path, autopilot="ardupilot")
+    path.write_bytes(content(plan, 10.0, "tlog", autopilot="ardupilot"))
     messages = read_with_mavutil(path)
     origins = [m for m in messages if m.get_type() == "SET_GPS_GLOBAL_ORIGIN"]
     assert [(o.latitude, o.longitude, o.altitude) for o in origins] == [(530_000_000, 48_000_000, 10_000)]
     origin = EkfOrigin(53.0, 4.8, 10.0)
     setpoints = [m for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
-    samples = list(SetpointStream(plan, 10.0))
+    samples = list(SetpointSampler(plan, 10.0))
     assert len(setpoints) == len(samples)
     for message, sample in zip(setpoints, samples, strict=True):
         assert (message.coordinate_frame, message.type_mask) == (1, 0x0C00)
@@ -178,7 +176,7 @@ def test_a_log_for_another_origin(tmp_path: Path) -> None:
     origin = EkfOrigin(53.01, 4.85, 2.0)
     plan = relay_plan()
     path = tmp_path / "plan.tlog"
-    write_setpoints(plan, 1.0, "tlog", path, autopilot="ardupilot", origin=origin)
+    path.write_bytes(content(plan, 1.0, "tlog", autopilot="ardupilot", origin=origin))
     first = next(m for m in read_with_mavutil(path) if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED")
     # 0.01 degrees south of that origin, and 0.05 west: by ArduPilot's 0.01113188 m per 1e-7 degree.
     assert first.x == pytest.approx(-1113.188, abs=1e-2)
@@ -188,7 +186,7 @@ def test_a_log_for_another_origin(tmp_path: Path) -> None:
 
 def test_heartbeats_come_from_the_station_in_control_every_second(tmp_path: Path) -> None:
     path = tmp_path / "plan.tlog"
-    write_setpoints(relay_plan(), 20.0, "tlog", path)
+    path.write_bytes(content(relay_plan(), 20.0, "tlog"))
     beats = [m for m in read_with_mavutil(path) if m.get_type() == "HEARTBEAT"]
     base = datetime(2000, 1, 1, tzinfo=UTC).timestamp()
     times = [(round(m._timestamp - base, 6), m.get_srcSystem()) for m in beats]
@@ -207,11 +205,11 @@ def test_mavlogdump_reads_the_log(tmp_path: Path, autopilot: str, kind: str) -> 
     """pymavlink's own program, as a user would run it."""
     plan = relay_plan(duration_s=60.0, handovers_s=(20.0, 40.5))
     path = tmp_path / "plan.tlog"
-    write_setpoints(plan, 5.0, "tlog", path, autopilot=autopilot, launch=LAUNCH)
+    path.write_bytes(content(plan, 5.0, "tlog", autopilot=autopilot, launch=LAUNCH))
     tool = [sys.executable, "-m", "pymavlink.tools.mavlogdump", "--format", "json", "--types", kind, str(path)]
     done = subprocess.run(tool, capture_output=True, text=True, check=True, timeout=60)
     rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    samples = list(SetpointStream(plan, 5.0))
+    samples = list(SetpointSampler(plan, 5.0))
     assert len(rows) == len(samples) == 301
     for row, sample in zip(rows, samples, strict=True):
         assert row["meta"]["type"] == kind
@@ -228,7 +226,7 @@ def test_log_stamps_are_microseconds_big_endian() -> None:
     assert stamp == 1_795_338_000_250_000  # 2026-11-22T09:00:00.25Z
 
 
-# ---------------------------------------------------------------- the door, and whole files
+# ---------------------------------------------------------------- the door, and pieces
 
 
 @pytest.mark.parametrize(
@@ -240,49 +238,10 @@ def test_log_stamps_are_microseconds_big_endian() -> None:
         ({"file_format": "tlog", "launch": datetime(2026, 11, 22, 9)}, r"without a time zone"),
     ],
 )
-def test_bad_options_are_refused_before_anything_is_written(
-    tmp_path: Path, change: dict[str, object], message: str
-) -> None:
+def test_bad_options_are_refused_before_the_first_piece(change: dict[str, object], message: str) -> None:
     options: dict[str, object] = {"rate_hz": 20.0, "file_format": "csv", **change}
-    path = tmp_path / "out"
     with pytest.raises(ValueError, match=message):
-        write_setpoints(relay_plan(), path=path, **options)  # type: ignore[arg-type]
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "plan.csv"
-    path.write_bytes(b"the old one")
-
-    def fail() -> None:
-        with atomic_file(path) as out:
-            out.write(b"half")
-            assert path.read_bytes() == b"the old one"
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fail()
-    assert path.read_bytes() == b"the old one"
-    assert os.listdir(tmp_path) == ["plan.csv"]
-    with atomic_file(path) as out:
-        out.write(b"the new one")
-    assert path.read_bytes() == b"the new one"
-    assert os.listdir(tmp_path) == ["plan.csv"]
-
-
-def test_a_file_is_readable_like_any_other(tmp_path: Path) -> None:
-    before = os.umask(0o022)
-    try:
-        with atomic_file(tmp_path / "x") as out:
-            out.write(b"1")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "x").stat().st_mode) == 0o644
-
-
-def test_a_place_that_cannot_be_written_is_an_os_error(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="No such file"):
-        write_setpoints(relay_plan(), 1.0, "csv", tmp_path / "missing" / "plan.csv")
+        setpoint_file(relay_plan(), **options)  # type: ignore[arg-type]
 
 
 def test_pieces_come_one_at_a_time() -> None:

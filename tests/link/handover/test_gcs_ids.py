@@ -37,7 +37,7 @@ def by_parameter(firmware: str = "", stations: int = 3, **settings: Any) -> Virt
 def heard(one: VirtualFlight) -> set[str]:
     """The stations the vehicle obeys now."""
     ids = one.core.context.control.system_ids
-    return {s for s in one.stations if one.vehicle.personality.is_owner(ids[s])}
+    return {s for s in one.stations if one.vehicle.autopilot.is_owner(ids[s])}
 
 
 def given_back(one: VirtualFlight) -> bool:

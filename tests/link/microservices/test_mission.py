@@ -20,17 +20,21 @@ from link.microservices.mission_item import (
     MissionItem,
     inclusion_fence,
     rally_point,
-    waypoint,
 )
 from link.microservices.mission_upload import MissionClear, MissionUpload
 from link.wire.codec import StationCodec
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.scorecard.soak import counted
 from tests.support.mission_vehicle import BadLink, MissionVehicle
 
 KINDS = ("px4", "ardupilot")
 ADDRESS: dict[str, Any] = {"target": (1, 1), "station": (241, 190)}
+
+
+def waypoint(lat_deg: float, lon_deg: float, alt_m: float, *, frame: int, hold_s: float = 0.0) -> MissionItem:
+    """A place to fly to; the heading is left to the vehicle."""
+    command = mavlink.MAV_CMD_NAV_WAYPOINT
+    return MissionItem(command, lat_deg, lon_deg, alt_m, frame, (hold_s, 0.0, 0.0, math.nan))
 
 
 def route(count: int, alt_m: float = 100.0) -> list[MissionItem]:

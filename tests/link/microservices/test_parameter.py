@@ -65,7 +65,7 @@ def test_where_hardly_anything_comes_back_the_link_is_blamed_and_the_flight_refu
     launch = flight.core.launch
     flight.run(lambda: launch.preflight_id > 0, limit_s=900.0)
     lost = [check for check in launch.checks if "no answer" in check.message]
-    assert all("the link loses" in check.message and "better the link" in check.remedy for check in lost)
+    assert all("the C2 link loses" in check.message and "better the C2 link" in check.remedy for check in lost)
     assert any(check.blocks for check in lost)
     flight.run(limit_s=60.0)
     assert flight.states[-1] == "refused"

@@ -7,11 +7,12 @@ import math
 
 import pytest
 
+from link.autopilot.failsafe_rule import FailsafeRule
 from link.autopilot.registry import PROFILES
 from link.microservices.parameter import Asking
 from link.microservices.parameter_value import Parameter
 from link.preflight.check import Check, Level
-from link.preflight.failsafe_parameters import Rule, _rules_ardupilot, _rules_px4, judge_failsafes
+from link.preflight.failsafe_parameters import judge_failsafes
 
 RATE_HZ = 20.0
 NAN = math.nan
@@ -104,8 +105,12 @@ def judged(autopilot: str, rate_hz: float = RATE_HZ, **changes: float | None) ->
     return {check.name: check for check in judge_failsafes(PROFILES[autopilot], values, rate_hz)}
 
 
-def rules(autopilot: str) -> list[Rule]:
-    return (_rules_px4 if autopilot == "px4" else _rules_ardupilot)(0.3, {})
+def rules(autopilot: str) -> tuple[FailsafeRule, ...]:
+    return PROFILES[autopilot].failsafe_rules(0.3)
+
+
+def level_of(rule: FailsafeRule) -> Level:
+    return Level.WARNING if rule.advisory else Level.FAILURE
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
@@ -176,7 +181,7 @@ def test_a_parameter_that_is_not_told_is_a_failure_unless_firmware_without_it_is
         if rule.optional:
             assert name not in found
         else:
-            assert (found[name].level, found[name].set) == (rule.level, None)
+            assert (found[name].level, found[name].set) == (level_of(rule), None)
             assert "not told by the vehicle" in found[name].message
             assert found[name].remedy
 
@@ -195,9 +200,9 @@ def test_a_lost_answer_is_told_apart_from_a_parameter_the_vehicle_does_not_have(
         # Half of the questions unanswered: one in 256 of those asked eight times is lost, and one in 60,000 of 16.
         lossy = found(Asking(8, 0.5))
         assert lossy is not None
-        assert lossy.level is (Level.WARNING if rule.optional or rule.level is Level.WARNING else Level.ERROR)
-        assert "no answer to 8 questions, and the link loses 50%" in lossy.message
-        assert "better the link" in lossy.remedy
+        assert lossy.level is (Level.WARNING if rule.optional or rule.advisory else Level.ERROR)
+        assert "no answer to 8 questions, and the C2 link loses 50%" in lossy.message
+        assert "better the C2 link" in lossy.remedy
         # The vehicle's own word counts on any link.
         for told, asking in (
             ("not told by the vehicle (no answer to 16 questions)", Asking(16, 0.5)),
@@ -211,7 +216,7 @@ def test_a_lost_answer_is_told_apart_from_a_parameter_the_vehicle_does_not_have(
             else:
                 assert check is not None
                 assert check.message.startswith(told)
-                assert check.level is rule.level
+                assert check.level is level_of(rule)
                 assert "autopilot and firmware" in check.remedy
 
 

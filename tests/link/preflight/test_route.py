@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gcs.flight import FlightState
-from gcs.mission.model import Mission
+from gcs.mission import read_mission
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 from link.preflight.check import Level
@@ -26,7 +26,7 @@ def falling_plan() -> Plan:
     """From 40 m down to 31 m AMSL."""
     document: dict[str, Any] = relay_document(2)
     document["destination"]["up_m"] = 31.0
-    return plan_mission(Mission.from_document(document), fast=True)
+    return plan_mission(read_mission(document), fast=True)
 
 
 @cache
@@ -34,7 +34,7 @@ def tight_plan(**options: object) -> Plan:
     """Stations whose ranges share little, for a vehicle of 15 m/s that brakes at 1.5 m/s^2: 5 s of the path to stop."""
     document: dict[str, Any] = relay_document(2, spacing_m=650.0, **options)
     document["limits"]["max_accel_m_s2"] = 1.5
-    return plan_mission(Mission.from_document(document), fast=True)
+    return plan_mission(read_mission(document), fast=True)
 
 
 def test_a_plan_that_goes_below_the_ground_the_vehicle_stands_on_is_told_with_figures() -> None:
@@ -71,7 +71,7 @@ def test_a_handover_behind_which_no_stop_is_in_time_is_told_with_what_would_do()
     assert "min_overlap_s 12" in check.remedy
     # That much further on the path, at its speed.
     way = plan.trajectory.evaluate(np.array([handover.time_s + 5.9]))
-    outside_m = float(plan.ground.outside_m(np.array([plan.trajectory.sequence[0]]), way)[0])
+    outside_m = float(plan.geometry.outside_m(np.array([plan.trajectory.sequence[0]]), way)[0])
     assert f"gets {outside_m:.0f} m out of range" in check.message
     assert outside_m > 5.0
     # A slower autopilot's patience: 1.2 s more to notice.
@@ -107,5 +107,5 @@ def test_a_failure_right_after_a_handover_without_room_takes_the_vehicle_as_far_
     assert one.said("alarm", what="the vehicle is out of range")
     old = np.array([plan.trajectory.sequence[0]])
     flown = [t for t in one.truth if t.plan_s is not None]
-    away = [float(plan.ground.outside_m(old, plan.trajectory.evaluate(np.array([t.plan_s])))[0]) for t in flown]
+    away = [float(plan.geometry.outside_m(old, plan.trajectory.evaluate(np.array([t.plan_s])))[0]) for t in flown]
     assert max(away) == pytest.approx(told_m, abs=6.0)

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcs.plan.failsafe_return import own_returns
+from gcs.plan.failsafe_return import failsafe_returns
 from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
 from link.errors import FlightRequestError
 from link.handover.gcs_ids import ENFORCE, GcsIds, wanted, writes
 from link.microservices.parameter_value import Parameter
 from link.preflight.check import Check, Level, worst, worst_first
-from link.preflight.failsafe_return import judge_own_return, return_rules
+from link.preflight.failsafe_return import judge_failsafe_return, return_rules
 from link.preflight.identity import Identity, judge_identity
 from link.preflight.link import judge_link
 from link.preflight.vehicle import judge_clock, judge_performance, judge_place, judge_vehicle
@@ -97,7 +97,7 @@ def test_an_ardupilot_with_the_newer_names_is_judged_alike() -> None:
     assert check.remedy == "raise ATC_ANGLE_MAX, or plan with a smaller max_accel_m_s2"
 
 
-# -- where its own return leads ---------------------------------------------------------------------------------------
+# -- where the failsafe return leads -----------------------------------------------------------------------------------
 
 
 def own(**changes: float) -> dict[str, Check]:
@@ -106,20 +106,21 @@ def own(**changes: float) -> dict[str, Check]:
     table |= {"WPNAV_SPEED_DN": 150.0, "RALLY_LIMIT_KM": 0.3, "RALLY_INCL_HOME": 1.0}
     plan = relay_plan(3)
     rules = return_rules(PROFILES["ardupilot"], values("ardupilot", table), plan, (0.0, 0.0, 35.0), ())
-    return {c.name: c for c in judge_own_return(plan, rules, own_returns(plan.ground, plan.trajectory, rules))}
+    returns = failsafe_returns(plan.geometry, plan.trajectory, rules)
+    return {c.name: c for c in judge_failsafe_return(plan, rules, returns)}
 
 
 def test_the_way_home_is_judged_at_the_return_altitude() -> None:
     checks = own()
-    assert checks["own return"].level is Level.PASS
+    assert checks["failsafe return"].level is Level.PASS
     # From the end: 5 m up at 2.5, 840 m and 7.5 m of doubt at 10, 15 m down at 1.5, 8 s to turn: about 105 s.
-    assert checks["own return"].value["longest_s"] == pytest.approx(2.0 + 84.7 + 10.0 + 8.0, abs=2.0)  # type: ignore[index]
+    assert checks["failsafe return"].value["longest_s"] == pytest.approx(2.0 + 84.7 + 10.0 + 8.0, abs=2.0)  # type: ignore[index]
     assert checks["return altitude"].level is Level.PASS  # 50 m, the band ends at 70 m
     high = own(RTL_ALT=10000.0)
     assert high["return altitude"].level is Level.WARNING
     assert "135 m AMSL, above the mission's 70 m" in high["return altitude"].message
     # 500 m up, no station of 400 m range reaches it.
-    out = own(RTL_ALT=50000.0)["own return"]
+    out = own(RTL_ALT=50000.0)["failsafe return"]
     assert out.level is Level.WARNING
     assert "leaves every range when begun in 100% of the flight" in out.message
     assert out.remedy

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from link.setpoints.local_projection import LocalMap
-from link.setpoints.reference import BRAKING_SHARE, Reference
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.local_projection import LocalProjection
+from link.setpoints.reference import BRAKING_SHARE, ReferenceTrajectory
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.straight_line import StraightLine
 from tests.support.flight_plans import relay_plan
 
@@ -19,12 +19,12 @@ ACCEL_M_S2 = 2.5
 DT_S = 0.05
 
 
-def on_plan(time_s: float = 0.0, rate: float = 1.0) -> Reference:
-    return Reference(SetpointStream(relay_plan(), 20.0), accel_m_s2=ACCEL_M_S2, time_s=time_s, rate=rate)
+def on_plan(time_s: float = 0.0, rate: float = 1.0) -> ReferenceTrajectory:
+    return ReferenceTrajectory(SetpointSampler(relay_plan(), 20.0), accel_m_s2=ACCEL_M_S2, time_s=time_s, rate=rate)
 
 
 def test_at_full_rate_it_is_the_plans_own_stream_to_the_last_digit() -> None:
-    stream = SetpointStream(relay_plan(), 20.0)
+    stream = SetpointSampler(relay_plan(), 20.0)
     reference = on_plan()
     for k in range(1, 200):
         reference.step(DT_S, 1.0)
@@ -158,7 +158,7 @@ def test_a_line_of_no_length_is_a_hover() -> None:
 @given(st.floats(-60_000.0, 60_000.0), st.floats(-60_000.0, 60_000.0), st.floats(-390.0, 390.0), st.floats(0.0, 6.28))
 def test_the_fast_map_agrees_with_the_exact_one(east: float, north: float, off: float, angle: float) -> None:
     plane = relay_plan().plane
-    fast = LocalMap(plane)
+    fast = LocalProjection(plane)
     fast.to_geodetic(east, north)
     e, n = east + off * math.cos(angle), north + off * math.sin(angle)
     lat, lon, axes = fast.to_geodetic(e, n)

@@ -13,7 +13,7 @@ from geographiclib.geodesic import Geodesic
 from hypothesis import given
 from hypothesis import strategies as st
 
-from link.setpoints.sampler import CHUNK, SLOW_M_S, SetpointStream
+from link.setpoints.sampler import CHUNK, SLOW_M_S, SetpointSampler
 from planner import Trajectory
 from tests.support.drawn_plans import make_plan, relay_plan, rest_to_rest, with_handovers
 
@@ -40,7 +40,7 @@ def straight_plan(duration_s: float):  # type: ignore[no-untyped-def]
     ],
 )
 def test_times_by_hand(duration_s: float, rate_hz: float, count: int, last_but_one: float) -> None:
-    stream = SetpointStream(straight_plan(duration_s), rate_hz)
+    stream = SetpointSampler(straight_plan(duration_s), rate_hz)
     assert len(stream) == len(stream.times_s) == count
     assert stream.times_s[0] == 0.0
     assert stream.times_s[-2] == pytest.approx(last_but_one, abs=1e-12)
@@ -52,7 +52,7 @@ def test_times_by_hand(duration_s: float, rate_hz: float, count: int, last_but_o
     rate_hz=st.one_of(st.floats(0.1, 200.0), st.integers(1, 200).map(float)),
 )
 def test_times_rise_by_the_step_and_end_at_the_end(duration_s: float, rate_hz: float) -> None:
-    stream = SetpointStream(straight_plan(duration_s), rate_hz)
+    stream = SetpointSampler(straight_plan(duration_s), rate_hz)
     times = stream.times_s
     assert len(times) == len(stream) >= 2
     assert times[0] == 0.0
@@ -65,14 +65,14 @@ def test_times_rise_by_the_step_and_end_at_the_end(duration_s: float, rate_hz: f
 
 @given(grid=st.integers(1, 5000), rate_hz=st.integers(1, 200), offset_s=st.floats(-0.99e-9, 0.99e-9))
 def test_an_end_on_the_grid_is_sampled_once(grid: int, rate_hz: int, offset_s: float) -> None:
-    stream = SetpointStream(straight_plan(grid / rate_hz + offset_s), rate_hz)
+    stream = SetpointSampler(straight_plan(grid / rate_hz + offset_s), rate_hz)
     assert len(stream) == grid + 1
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, 0.05, -20.0, 201.0, math.nan, math.inf])
 def test_a_rate_out_of_range_is_refused_with_the_range(rate_hz: float) -> None:
     with pytest.raises(ValueError, match=r"rate_hz is .*, allowed is 0.1 to 200"):
-        SetpointStream(straight_plan(10.0), rate_hz)
+        SetpointSampler(straight_plan(10.0), rate_hz)
 
 
 # ---------------------------------------------------------------- the stream
@@ -80,7 +80,7 @@ def test_a_rate_out_of_range_is_refused_with_the_range(rate_hz: float) -> None:
 
 def test_samples_are_the_curve() -> None:
     plan = relay_plan()
-    stream = SetpointStream(plan, 7.0)
+    stream = SetpointSampler(plan, 7.0)
     samples = list(stream)
     assert len(samples) == len(stream)
     times = np.array([s.time_s for s in samples])
@@ -95,7 +95,7 @@ def test_samples_are_the_curve() -> None:
 
 def test_first_and_last_sample_are_at_rest_at_start_and_destination() -> None:
     plan = relay_plan()
-    first, *_, last = SetpointStream(plan, 20.0)
+    first, *_, last = SetpointSampler(plan, 20.0)
     assert first.position_enu_m == pytest.approx((0.0, 0.0, 90.0))
     assert last.position_enu_m == pytest.approx((4500.0, 4500.0, 130.0))
     assert last.time_s == 300.0
@@ -106,7 +106,7 @@ def test_first_and_last_sample_are_at_rest_at_start_and_destination() -> None:
 
 def test_station_changes_at_the_handover_and_is_marked_once() -> None:
     """Handovers at 100.0 (on the 20 Hz grid) and 200.5 s."""
-    samples = list(SetpointStream(relay_plan(handovers_s=(100.0, 200.5)), 20.0))
+    samples = list(SetpointSampler(relay_plan(handovers_s=(100.0, 200.5)), 20.0))
     marked = [(s.time_s, s.handover, s.station_id, s.system_id, s.leg) for s in samples if s.handover is not None]
     assert marked == [(100.0, 1, "texel", 242, 1), (200.5, 2, "vlieland", 243, 2)]
     for sample in samples:
@@ -116,7 +116,7 @@ def test_station_changes_at_the_handover_and_is_marked_once() -> None:
 
 
 def test_a_handover_between_samples_is_marked_on_the_next_one() -> None:
-    samples = list(SetpointStream(relay_plan(handovers_s=(100.01, 200.04)), 10.0))
+    samples = list(SetpointSampler(relay_plan(handovers_s=(100.01, 200.04)), 10.0))
     assert [(s.time_s, s.handover) for s in samples if s.handover] == [
         (pytest.approx(100.1), 1),
         (pytest.approx(200.1), 2),
@@ -124,7 +124,7 @@ def test_a_handover_between_samples_is_marked_on_the_next_one() -> None:
 
 
 def test_two_handovers_between_two_samples_name_the_station_that_is_in_control() -> None:
-    samples = list(SetpointStream(relay_plan(handovers_s=(100.2, 100.6)), 1.0))
+    samples = list(SetpointSampler(relay_plan(handovers_s=(100.2, 100.6)), 1.0))
     assert [(s.time_s, s.handover, s.station_id) for s in samples if s.handover] == [(101.0, 2, "vlieland")]
 
 
@@ -132,14 +132,14 @@ def test_two_handovers_between_two_samples_name_the_station_that_is_in_control()
 def test_a_handover_at_the_seam_of_two_blocks_is_marked_once(offset: int) -> None:
     rate_hz = 50.0
     time_s = (CHUNK + offset) / rate_hz
-    samples = list(SetpointStream(relay_plan(handovers_s=(time_s, 200.5)), rate_hz))
+    samples = list(SetpointSampler(relay_plan(handovers_s=(time_s, 200.5)), rate_hz))
     assert [i for i, s in enumerate(samples) if s.handover] == [CHUNK + offset, 10025]
 
 
 def test_a_station_that_comes_back_is_another_leg() -> None:
     curve = with_handovers(rest_to_rest(*STRAIGHT, duration_s=60.0), (20.0, 40.0))
     there_and_back = Trajectory(curve.control_points_m, curve.durations_s, np.array([0, 1, 0]))
-    stream = SetpointStream(make_plan(there_and_back), 10.0)
+    stream = SetpointSampler(make_plan(there_and_back), 10.0)
     assert [(s.handover, s.system_id) for s in stream if s.handover] == [(1, 242), (2, 241)]
     assert [stream.leg_at(t) for t in (-1.0, 19.99, 20.0, 39.0, 40.0, 61.0)] == [0, 0, 1, 1, 2, 2]
 
@@ -160,7 +160,7 @@ def test_blocks_are_bounded_and_computed_one_at_a_time() -> None:
     counted = SimpleNamespace(
         trajectory=plan.trajectory, mission=plan.mission, handovers=plan.handovers, plane=CountingPlane()
     )
-    stream = SetpointStream(counted, 200.0)  # type: ignore[arg-type]
+    stream = SetpointSampler(counted, 200.0)  # type: ignore[arg-type]
     assert len(stream) == 360_001
     list(itertools.islice(stream, 10))
     assert calls == [CHUNK]
@@ -172,21 +172,21 @@ def test_a_plan_whose_handovers_do_not_fit_its_legs_is_refused() -> None:
         trajectory=plan.trajectory, mission=plan.mission, handovers=plan.handovers[:1], plane=plan.plane
     )
     with pytest.raises(ValueError, match="3 legs but 1 handovers"):
-        SetpointStream(broken, 20.0)  # type: ignore[arg-type]
+        SetpointSampler(broken, 20.0)  # type: ignore[arg-type]
 
 
 def test_a_plan_without_a_system_id_is_refused() -> None:
     plan = relay_plan()
     nameless = replace(plan.mission, stations=tuple(replace(s, system_id=None) for s in plan.mission.stations))
     with pytest.raises(ValueError, match="station den-helder has no system id"):
-        SetpointStream(replace(plan, mission=nameless), 20.0)
+        SetpointSampler(replace(plan, mission=nameless), 20.0)
 
 
 # ---------------------------------------------------------------- at any time
 
 
 def test_at_agrees_with_the_stream_everywhere() -> None:
-    stream = SetpointStream(relay_plan(), 9.7)
+    stream = SetpointSampler(relay_plan(), 9.7)
     for sample in stream:
         got = stream.at(sample.time_s)
         assert got.handover is None
@@ -207,7 +207,7 @@ def test_at_agrees_with_the_stream_everywhere() -> None:
 
 
 def test_at_is_clamped_to_the_flight() -> None:
-    stream = SetpointStream(relay_plan(), 20.0)
+    stream = SetpointSampler(relay_plan(), 20.0)
     assert stream.at(-5.0) == stream.at(0.0)
     assert stream.at(1e9) == stream.at(300.0)
     assert stream.at(1e9).time_s == 300.0
@@ -221,7 +221,7 @@ def test_at_works_across_the_date_line_and_near_the_pole() -> None:
         {"lat_deg": -17.0, "lon_deg": 179.999, "alt_amsl_m": 0.0},
         {"lat_deg": 89.95, "lon_deg": 10.0, "alt_amsl_m": 0.0},
     ):
-        stream = SetpointStream(make_plan(rest_to_rest(*STRAIGHT, duration_s=60.0), origin=origin), 2.0)
+        stream = SetpointSampler(make_plan(rest_to_rest(*STRAIGHT, duration_s=60.0), origin=origin), 2.0)
         for sample in stream:
             got = stream.at(sample.time_s)
             assert -180.0 <= got.lon_deg < 180.0
@@ -235,7 +235,7 @@ def test_at_works_across_the_date_line_and_near_the_pole() -> None:
 def test_true_velocity_is_the_motion_over_the_earth() -> None:
     """130 km east of the origin the plane's north is 1.6 degrees off true north; the wire gets true axes."""
     curve = rest_to_rest((130_000, 0, 90), (131_000, 1500, 90), (130_500, 3000, 100), duration_s=200.0)
-    stream = SetpointStream(make_plan(curve), 1.0)
+    stream = SetpointSampler(make_plan(curve), 1.0)
     h = 0.05
     for time_s in (40.0, 77.0, 100.0, 143.0):
         before, now, after = stream.at(time_s - h), stream.at(time_s), stream.at(time_s + h)
@@ -265,7 +265,7 @@ def test_yaw_follows_the_course_and_is_held_where_slow() -> None:
     curve = Trajectory(
         np.concatenate([east.control_points_m, north.control_points_m]), np.array([60.0, 60.0]), np.array([0, 0])
     )
-    samples = list(SetpointStream(make_plan(curve), 10.0))
+    samples = list(SetpointSampler(make_plan(curve), 10.0))
     held_at_stop = 0
     for sample in samples:
         speed = math.hypot(*sample.velocity_enu_m_s[:2])
@@ -283,23 +283,23 @@ def test_yaw_follows_the_course_and_is_held_where_slow() -> None:
 
 def test_yaw_does_not_depend_on_the_rate() -> None:
     plan = relay_plan()
-    coarse = {round(s.time_s, 6): s.yaw_deg for s in SetpointStream(plan, 1.0)}
-    fine = {round(s.time_s, 6): s.yaw_deg for s in SetpointStream(plan, 20.0)}
+    coarse = {round(s.time_s, 6): s.yaw_deg for s in SetpointSampler(plan, 1.0)}
+    fine = {round(s.time_s, 6): s.yaw_deg for s in SetpointSampler(plan, 20.0)}
     assert all(fine[t] == pytest.approx(yaw, abs=1e-9) for t, yaw in coarse.items())
 
 
 def test_yaw_of_a_climb_on_the_spot_is_north_and_of_a_crawl_its_direction() -> None:
     climb = make_plan(rest_to_rest((0, 0, 50), (0, 0, 150), duration_s=100.0))
-    assert {s.yaw_deg for s in SetpointStream(climb, 5.0)} == {0.0}
+    assert {s.yaw_deg for s in SetpointSampler(climb, 5.0)} == {0.0}
     crawl = make_plan(rest_to_rest((0, 0, 50), (0, -10, 50), duration_s=100.0))
-    assert {s.yaw_deg for s in SetpointStream(crawl, 5.0)} == {180.0}
+    assert {s.yaw_deg for s in SetpointSampler(crawl, 5.0)} == {180.0}
 
 
 # ---------------------------------------------------------------- hold and another pace
 
 
 def test_hold_is_the_same_place_at_rest() -> None:
-    moving = SetpointStream(relay_plan(), 20.0).at(120.0)
+    moving = SetpointSampler(relay_plan(), 20.0).at(120.0)
     held = moving.hold()
     assert (held.lat_deg, held.lon_deg, held.alt_amsl_m) == (moving.lat_deg, moving.lon_deg, moving.alt_amsl_m)
     assert (held.position_enu_m, held.yaw_deg, held.system_id) == (
@@ -318,7 +318,7 @@ def test_hold_is_the_same_place_at_rest() -> None:
 
 def test_retimed_is_the_derivative_along_the_slowed_clock() -> None:
     """Plan time runs as T(t) = T0 + r t + q t^2 / 2: velocity and acceleration by finite differences of position."""
-    stream = SetpointStream(relay_plan(), 20.0)
+    stream = SetpointSampler(relay_plan(), 20.0)
     start, rate, change, h = 120.0, 0.6, -0.08, 1e-3
 
     def place(t: float) -> np.ndarray:  # type: ignore[type-arg]

@@ -16,12 +16,12 @@ from gcs.geodesy.plane import Plane
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
-from link.setpoints.sampler import SetpointStream
+from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
 from link.wire.codec import StationCodec
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.support.drawn_plans import make_plan, rest_to_rest
+from tests.support.heartbeats import is_autopilot
 
 GROUND_AMSL_M = 20.0
 CLIMB_M = 40.0
@@ -57,7 +57,7 @@ class Flight:
             for message in self.codec.decode(frame):
                 if message.get_type() == "GPS_GLOBAL_ORIGIN":
                     self.origin = EkfOrigin.from_message(message)
-                if message.get_type() == "HEARTBEAT" and self.profile.is_autopilot(message):
+                if is_autopilot(self.profile, message):
                     self.offboard = self.profile.is_offboard(message)
 
     def take_off(self, start: Setpoint) -> None:
@@ -92,7 +92,7 @@ class Flight:
 def test_true_place_100_km_from_the_vehicles_origin(autopilot: str) -> None:
     # The plan's plane is about 53 N, 4.8 E; the flight is 98 km east of it, where its north is 1.2 degrees off.
     curve = rest_to_rest((98_000, 0, 50), (98_400, 0, 50), (98_400, 500, 70), (98_900, 700, 60), duration_s=130.0)
-    stream = SetpointStream(make_plan(curve), 20.0)
+    stream = SetpointSampler(make_plan(curve), 20.0)
     first, last = stream.at(0.0), stream.at(130.0)
     flight = Flight(autopilot, (first.lat_deg, first.lon_deg))
     for _ in range(200):

@@ -23,7 +23,7 @@ import pytest
 
 import link.streamer.process as streamer_module
 import link.streamer.recorder as recorder_module
-from gcs.flight import EventKind, FlightEvent, FlightState, TransitionError, Word
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError
 from link.clock import FlightClock, PacedClock
 from link.errors import EndpointError, FlightRequestError
 from link.files.tlog import read_tlog
@@ -46,7 +46,7 @@ class Core:
         self.request, self.options = request, options
         self.on_frame = options["on_frame"]
         self.calls: list[str] = []
-        self.words: list[tuple[Word, dict[str, Any]]] = []
+        self.words: list[tuple[OperatorCommand, dict[str, Any]]] = []
         self.heard: list[tuple[str, bytes, float]] = []
         self.ticks: list[float] = []
         self.last = 5
@@ -97,10 +97,10 @@ class Core:
         assert url in self.request.urls[station]
         self.heard.append((station, data, now_s))
 
-    def command(self, word: Word, **fields: Any) -> None:
-        if word is Word.LAND:
+    def command(self, word: OperatorCommand, **fields: Any) -> None:
+        if word is OperatorCommand.LAND:
             raise TransitionError("not now")
-        if word is Word.RESUME:
+        if word is OperatorCommand.RESUME:
             raise TypeError("until_s")
         self.words.append((word, fields))
 
@@ -415,8 +415,8 @@ def test_words_and_questions_are_answered_by_their_number(bench: Bench) -> None:
         {"id": 7},
     )
     assert bench.core.words == [
-        (Word.HOLD, {"by": "pilot", "reason": "birds"}),
-        (Word.AUTHORISE, {"until_s": 12.0, "handover": 1, "plan_sha256": "ab"}),
+        (OperatorCommand.HOLD, {"by": "pilot", "reason": "birds"}),
+        (OperatorCommand.AUTHORISE, {"until_s": 12.0, "handover": 1, "plan_sha256": "ab"}),
     ]
     replies = {line["reply"]: line for line in answers if "reply" in line}
     assert replies[1] == {"reply": 1, "ok": True}
@@ -473,7 +473,7 @@ def test_told_to_stop_it_asks_for_the_way_out_once(bench: Bench) -> None:
     threading.Timer(0.05, os.kill, [os.getpid(), signal.SIGTERM]).start()
     bench.streamer.run()
     assert bench.core.words == [
-        (Word.ABORT, {"by": "SIGTERM", "reason": "the streamer was told to stop"}),
+        (OperatorCommand.ABORT, {"by": "SIGTERM", "reason": "the streamer was told to stop"}),
     ]
 
 
@@ -549,7 +549,7 @@ class Planned(Core):
             (self.judging,) = [t for t in threading.enumerate() if t is threading.current_thread()]
         return SimpleNamespace(plan=SimpleNamespace(plan_sha256=document["plan_sha256"]))
 
-    def command(self, word: Word, **fields: Any) -> None:
+    def command(self, word: OperatorCommand, **fields: Any) -> None:
         if fields.get("by") == "nobody":
             raise TransitionError("who says so?")
         super().command(word, **fields)
@@ -597,7 +597,7 @@ def test_a_new_plan_is_judged_beside_the_flight_and_taken_over_by_it(
     assert replies[0] == {"reply": 0, "ok": True}
     assert bench.core.judging.daemon  # type: ignore[attr-defined] # no plan, however long, keeps the process
     ((word, fields),) = bench.core.words
-    assert (word, fields.pop("upcoming").plan.plan_sha256) == (Word.REPLAN, names["good"])
+    assert (word, fields.pop("upcoming").plan.plan_sha256) == (OperatorCommand.REPLAN, names["good"])
     assert fields == {"by": "pilot", "join_s": 30.0, "leave_s": 28.0}
     errors = [replies[k]["error"] for k in range(1, len(asked))]
     assert errors[:3] == ["who says so?", "the file holds another plan (ff)", "too late"]

@@ -15,7 +15,8 @@ from link.errors import FlightRequestError, SupervisorError
 from link.session.request import FlightRequest
 from link.streamer.supervisor import attach, start_flight
 from tests.support.flight_plans import relay_plan, wide_plan
-from tests.support.flight_processes import Events, alive, bad_links, free_ports, kill, simulator, start_attended
+from tests.support.flight_processes import Events, bad_links, free_ports, kill, simulator, start_attended
+from tests.support.process_tree import alive
 
 SPEEDUP = 4.0
 

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from gcs.flight import FlightState
-from link.telemetry.link_path import Carrier
+from link.telemetry.link_path import LinkPath
 from link.telemetry.station_link import StationLink
 from tests.support.flight_plans import relay_plan
 from tests.support.virtual_flight import Proxy, VirtualFlight
@@ -16,45 +16,45 @@ BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
 
 def test_loss_is_told_by_the_frames_numbers_whatever_comes_late_or_twice() -> None:
-    chance, carrier = random.Random(5), Carrier()
+    chance, path = random.Random(5), LinkPath()
     numbers = [(k % 256) for k in range(900)]
     kept = [n for n in numbers if chance.random() > 0.2]
     for k in range(0, len(kept) - 1, 7):
         kept[k], kept[k + 1] = kept[k + 1], kept[k]
     for k, number in enumerate(kept):
-        carrier.heard(0.1 * k, number)
+        path.heard(0.1 * k, number)
         if k % 5 == 0:
-            carrier.heard(0.1 * k, number)
-    assert carrier.loss == pytest.approx(1.0 - len(kept) / len(numbers), abs=0.01)
+            path.heard(0.1 * k, number)
+    assert path.loss == pytest.approx(1.0 - len(kept) / len(numbers), abs=0.01)
 
 
 def test_a_perfect_link_loses_nothing_and_nothing_heard_tells_nothing() -> None:
-    carrier = Carrier()
-    assert (carrier.loss, carrier.round_loss(9.0), carrier.latency_s, carrier.quality(9.0)) == (None, None, None, None)
+    path = LinkPath()
+    assert (path.loss, path.round_loss(9.0), path.latency_s, path.quality(9.0)) == (None, None, None, None)
     for number in [*range(200, 256), *range(256), *range(20)]:
-        carrier.heard(1.0, number)
-    assert carrier.loss == 0.0
+        path.heard(1.0, number)
+    assert path.loss == 0.0
 
 
 def test_round_trips_give_latency_jitter_and_loss() -> None:
-    carrier = Carrier()
+    path = LinkPath()
     for k in range(40):
-        carrier.probed(float(k), k)
+        path.probed(float(k), k)
         if k % 4:
-            assert carrier.answered(k, k + (0.3 if k % 2 else 0.2))
-            assert not carrier.answered(k, k + 0.5)  # a second copy
-    assert not carrier.answered(999, 40.0)
-    assert carrier.round_loss(45.0) == 0.25
-    assert carrier.latency_s == pytest.approx(0.13, abs=0.02)
-    assert carrier.least_latency_s == pytest.approx(0.1)
+            assert path.answered(k, k + (0.3 if k % 2 else 0.2))
+            assert not path.answered(k, k + 0.5)  # a second copy
+    assert not path.answered(999, 40.0)
+    assert path.round_loss(45.0) == 0.25
+    assert path.latency_s == pytest.approx(0.13, abs=0.02)
+    assert path.least_latency_s == pytest.approx(0.1)
     # 0.3 0.2 0.3 | 0.3 0.2 0.3: two changes of 0.1 in three.
-    assert carrier.jitter_s == pytest.approx(0.067, abs=0.02)
-    assert carrier.proven_s == 39.0
+    assert path.jitter_s == pytest.approx(0.067, abs=0.02)
+    assert path.proven_s == 39.0
 
 
 def test_another_way_sends_once_its_proof_is_newer_by_the_patience() -> None:
     link = StationLink("a", ("one", "two"))
-    first, second = link.carriers
+    first, second = link.paths
     first.proven_s, second.proven_s = 10.0, 10.3
     assert link.choose(0.4) == ""
     second.proven_s = 10.5
@@ -114,7 +114,7 @@ def test_over_tcp_a_frame_may_come_in_pieces() -> None:
     frame = vehicle.encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3))
     core.receive("s1", frame[:9], 1.0, "tcp:127.0.0.1:9")
     core.receive("s1", frame[9:], 1.1, "tcp:127.0.0.1:9")
-    first, second = core.context.vehicle.monitor.links["s1"].carriers
+    first, second = core.context.vehicle.monitor.links["s1"].paths
     assert (first.messages, second.messages) == (0, 1)
     # A datagram in two is two broken ones.
     core.receive("s1", frame[:9], 2.0, "udpout:127.0.0.1:9")

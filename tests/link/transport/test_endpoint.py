@@ -152,7 +152,7 @@ def test_there_and_back(udp: tuple[UdpInEndpoint, Endpoint]) -> None:
     assert receive(sender) == [FRAME + b"back"]
     assert (sender.stats.frames_sent, sender.stats.bytes_sent) == (1, len(FRAME))
     assert (sender.stats.packets_received, sender.stats.bytes_received) == (1, len(FRAME) + 4)
-    assert not listener.is_stream
+    assert not listener.url.is_stream
     assert sender.fileno() >= 0
 
 
@@ -324,7 +324,7 @@ def test_tcp_there_and_back() -> None:
         connection, _ = server.accept()
         with connection:
             wait_until(lambda: endpoint.receive() or endpoint.is_connected)
-            assert endpoint.is_stream
+            assert endpoint.url.is_stream
             assert endpoint.is_loopback
             assert endpoint.send(FRAME)
             connection.settimeout(5.0)
@@ -450,7 +450,7 @@ def test_serial_there_and_back(terminal: tuple[int, str]) -> None:
     master, name = terminal
     with open_endpoint(f"serial:{name}:57600") as endpoint:
         assert endpoint.is_connected
-        assert endpoint.is_stream
+        assert endpoint.url.is_stream
         assert not endpoint.is_loopback
         assert endpoint.receive() == []
         # Every byte value: no line discipline may touch them.

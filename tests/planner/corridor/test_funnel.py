@@ -1,4 +1,4 @@
-"""A string pulled tight through gates: against hand-worked corners and a general minimiser."""
+"""The funnel algorithm: against hand-worked corners and a general minimiser."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from planner.corridor.funnel import pull_tight
+from planner.corridor.funnel import shortest_crossings
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ def length(*points: Array) -> float:
 
 def test_a_straight_way_crosses_gates_where_it_meets_them() -> None:
     left, right = upright((1.0, -1.0, 1.0), (3.0, -1.0, 5.0))
-    crossings = pull_tight(np.array([0.0, 0.0]), left, right, np.array([4.0, 2.0]))
+    crossings = shortest_crossings(np.array([0.0, 0.0]), left, right, np.array([4.0, 2.0]))
     assert crossings is not None
     np.testing.assert_allclose(crossings, [[1.0, 0.5], [3.0, 1.5]])
 
@@ -34,28 +34,28 @@ def test_a_straight_way_crosses_gates_where_it_meets_them() -> None:
 def test_it_turns_at_the_ends_of_gates_only() -> None:
     # Up round (2, 3), down round (4, -1); the gate between is crossed on the way, at half the height.
     left, right = upright((2.0, 3.0, 9.0), (3.0, -9.0, 9.0), (4.0, -9.0, -1.0))
-    crossings = pull_tight(np.zeros(2), left, right, np.array([6.0, 0.0]))
+    crossings = shortest_crossings(np.zeros(2), left, right, np.array([6.0, 0.0]))
     assert crossings is not None
     np.testing.assert_allclose(crossings, [[2.0, 3.0], [3.0, 1.0], [4.0, -1.0]])
 
 
 def test_gates_that_cross_matter_where_the_string_would_turn_at_the_crossing() -> None:
-    """Two gates that cross at (2, 2). A string below meets them in their order; one that is drawn up does not."""
+    """Two gates that cross at (2, 2). A polyline below meets them in their order; one that is drawn up does not."""
     left, right = np.array([[3.0, 3.0], [1.0, 3.0]]), np.array([[0.0, 0.0], [4.0, 0.0]])
-    crossings = pull_tight(np.array([-1.0, 1.0]), left, right, np.array([5.0, 1.0]))
+    crossings = shortest_crossings(np.array([-1.0, 1.0]), left, right, np.array([5.0, 1.0]))
     np.testing.assert_allclose(crossings, [[1.0, 1.0], [3.0, 1.0]])
-    assert pull_tight(np.array([-1.0, 3.0]), left, right, np.array([5.0, 3.0])) is None
+    assert shortest_crossings(np.array([-1.0, 3.0]), left, right, np.array([5.0, 3.0])) is None
 
 
 @pytest.mark.parametrize(("start_m", "end_m"), [(2.0, 5.0), (0.0, 0.5)])
 def test_none_where_an_end_lies_on_the_wrong_side(start_m: float, end_m: float) -> None:
     left, right = upright((1.0, -1.0, 1.0))
-    assert pull_tight(np.array([start_m, 0.0]), left, right, np.array([end_m, 0.0])) is None
+    assert shortest_crossings(np.array([start_m, 0.0]), left, right, np.array([end_m, 0.0])) is None
 
 
 def test_none_where_the_gates_come_in_the_wrong_order() -> None:
     left, right = upright((3.0, -1.0, 1.0), (2.0, -1.0, 1.0))
-    assert pull_tight(np.zeros(2), left, right, np.array([4.0, 0.0])) is None
+    assert shortest_crossings(np.zeros(2), left, right, np.array([4.0, 0.0])) is None
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -68,7 +68,7 @@ def test_no_polyline_through_the_gates_is_shorter(seed: int) -> None:
     left, right = middle + reach, middle - reach
     start = np.array([middle[0, 0] - 2.0, rng.normal(0.0, 2.0)])
     end = np.array([middle[-1, 0] + 2.0, rng.normal(0.0, 2.0)])
-    crossings = pull_tight(start, left, right, end)
+    crossings = shortest_crossings(start, left, right, end)
     if crossings is None:
         return
     share = ((crossings - right) * (2.0 * reach)).sum(axis=1) / np.maximum(4.0 * half**2, 1e-12)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner import Trajectory
+from planner.coverage.elevation_mask import ElevationMask
 from planner.coverage.window import Stations, coverage_window, coverage_windows, held_s, range_excess
 
 
@@ -140,7 +141,7 @@ def test_many_windows_are_the_single_ones(seed: int) -> None:
     at, size = rng.normal(scale=2.0, size=(40, 3)), rng.uniform(0.5, 8.0, 40)
     times = rng.choice([rng.uniform(0, flight.duration_s), *flight.knots_s], 40)
     angles = rng.choice([-90.0, 0.0, 20.0], 40)
-    early, late = coverage_windows(flight, Stations(at, size, angles), times)
+    early, late = coverage_windows(flight, Stations(at, size, ElevationMask(angles)), times)
     for k in range(40):
         alone = coverage_window(flight, at[k], size[k], times[k], min_elevation_deg=angles[k])
         assert (early[k], late[k]) == pytest.approx(alone, abs=1e-9)

@@ -43,7 +43,7 @@ def test_p5_agrees(name: str, overlap_s: float) -> None:
 
 
 def test_the_whole_method_agrees() -> None:
-    """The polylines are equally short but not the same where a lens leaves room, so the descents differ a little."""
+    """The polylines are equally short but not the same where an overlap leaves room, so descents differ a bit."""
     problem = paper_problem("M30_08")
     direct, reference = plan_paper(problem), plan_paper_cvxpy(problem)
     assert reference.certificate.feasible

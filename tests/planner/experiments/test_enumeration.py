@@ -156,7 +156,7 @@ def test_handovers_may_be_limited(ladder: Problem) -> None:
 def test_a_sequence_longer_in_metres_may_be_faster() -> None:
     """The enumeration finds what Dijkstra's centre distances miss.
 
-    A(0, 0) and C(2000, 0) by way of B(1000, 0), whose lenses are slivers far off to neither side, or of D(1000, 500)
+    A(0, 0) and C(2000, 0) by way of B(1000, 0), whose overlaps are slivers far off to neither side, or of D(1000, 500)
     with a range that holds the straight line: longer from centre to centre, straighter to fly.
     """
     rows = [[0, 0, 100, 520], [1000, -60, 100, 490], [2000, 0, 100, 520], [1000, 500, 100, 1100]]

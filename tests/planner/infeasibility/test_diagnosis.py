@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner import Infeasibility, Problem
-from planner.coverage.overlap import MIN_LENS_M
+from planner.coverage.overlap import MIN_OVERLAP_M
 from planner.infeasibility import diagnosis
 from planner.infeasibility.diagnosis import diagnose
 from tests.support.planner_missions import PAPER_LIKE, make_problem, paper_problem, scene
@@ -78,7 +78,7 @@ def test_a_broken_chain_names_the_two_sides_the_gap_and_the_fix() -> None:
     assert found.position_m == pytest.approx((1400.0, 0.0, 100.0))
     assert found.fix is not None
     assert found.fix["station"] in (1, 2)
-    assert found.fix["by_m"] == pytest.approx(np.hypot(1000.0 - radius + MIN_LENS_M, 100.0) - 500.0, rel=1e-6)
+    assert found.fix["by_m"] == pytest.approx(np.hypot(1000.0 - radius + MIN_OVERLAP_M, 100.0) - 500.0, rel=1e-6)
     assert diagnose(applied(problem, found)) is None
     nearly = replace(problem, ranges_m=applied(problem, found).ranges_m - np.array([0, 1e-4, 1e-4, 0]))
     assert diagnose(nearly) is not None
@@ -158,8 +158,8 @@ def test_stations_in_one_line_have_no_triangles(monkeypatch: pytest.MonkeyPatch)
     assert "also" not in found.fix
 
 
-def test_a_tangent_pair_is_a_broken_chain_until_the_lens_is_a_millimetre_deep() -> None:
-    for depth, broken in ((0.0, True), (0.5 * MIN_LENS_M, True), (1.01 * MIN_LENS_M, False)):
+def test_a_tangent_pair_is_a_broken_chain_until_the_overlap_is_a_millimetre_deep() -> None:
+    for depth, broken in ((0.0, True), (0.5 * MIN_OVERLAP_M, True), (1.01 * MIN_OVERLAP_M, False)):
         problem = scene((0, 0, 100, 500), (1000.0 - depth, 0, 100, 500))
         assert (diagnose(problem) is not None) is broken
 

@@ -9,7 +9,7 @@ import pytest
 
 from planner import SolverError, Trajectory, build_corridor, certify
 from planner.joint import sequence_planner as joint_module
-from planner.joint.sequence_planner import Effort, plan_joint, seen_from_above, within_limits, without_rounding
+from planner.joint.sequence_planner import Effort, plan_joint, planar_problem, within_limits, without_rounding
 from planner.planner import plan_alternating
 from planner.routing.bound import lower_bound
 from planner.routing.station_sequence import candidate_routes
@@ -70,7 +70,7 @@ def test_a_flat_band_becomes_a_plane() -> None:
         band=(100.0, 100.0),
         min_elevation_deg=np.array([-90.0, 45.0, -90.0]),
     )
-    plane = seen_from_above(problem)
+    plane = planar_problem(problem)
     assert plane.ranges_m == pytest.approx([np.sqrt(990_000.0), 100.0, 0.0])
     assert (plane.station_positions_m[:, 2] == 100.0).all()
     assert plane.limits.min_alt_m < 100.0 < plane.limits.max_alt_m

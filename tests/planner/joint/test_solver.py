@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from planner import Problem, Trajectory, certify
 from planner.corridor.corridor import Corridor, build_corridor
 from planner.corridor.handover_polyline import polyline_along
-from planner.corridor.joint_placement import spread_waypoints
-from planner.coverage.overlap import lens_point_m
+from planner.corridor.joint_placement import place_joints
+from planner.coverage.overlap import overlap_point_m
 from planner.errors import SolverError
-from planner.joint.sequence_planner import seen_from_above, without_rounding
+from planner.joint.sequence_planner import planar_problem, without_rounding
 from planner.joint.solver import CorridorSolution, solve_corridor
 from planner.routing.bound import lower_bound
 from planner.routing.station_sequence import candidate_routes, is_chain
@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 
 
 def polyline_through(problem: Problem) -> Array:
-    """Start, the middle of every lens of neighbouring stations, destination."""
-    middles = [lens_point_m(problem, k, k + 1) for k in range(problem.station_count - 1)]
+    """Start, the middle of every overlap of neighbouring stations, destination."""
+    middles = [overlap_point_m(problem, k, k + 1) for k in range(problem.station_count - 1)]
     return np.array([problem.start_m, *middles, problem.destination_m])
 
 
@@ -40,7 +40,7 @@ def plan(
     """Solve along all stations in their order."""
     corridor = build_corridor(problem, range(problem.station_count), pieces_per_leg=pieces, pieces_at_ends=at_ends)
     line = polyline_through(problem) if polyline is None else polyline
-    return solve_corridor(problem, corridor, spread_waypoints(problem, corridor, line), **options)
+    return solve_corridor(problem, corridor, place_joints(problem, corridor, line), **options)
 
 
 def one_piece_time_s(length_m: float, **limits: Any) -> float:
@@ -144,7 +144,7 @@ class TestOptions:
         assert solution.trajectory.duration_s > free.duration_s
 
     def test_overlap_holds_and_binds(self) -> None:
-        """The lens is 400 m wide where it is crossed: 8 s at full speed; 20 s are asked for."""
+        """The overlap is 400 m wide where it is crossed: 8 s at full speed; 20 s are asked for."""
         problem = self.problem(min_overlap_s=20.0)
         solution = plan(problem)
         worst = certify(problem, solution.trajectory).worst
@@ -170,7 +170,7 @@ class TestOptions:
         assert solution.converged
         assert certify(problem, solution.trajectory).feasible
         time = np.linspace(0, solution.trajectory.duration_s, 2001)
-        # A height of exactly 105 m is a cusp of the lens: the flight stays as low as it can.
+        # A height of exactly 105 m is a cusp of the overlap: the flight stays as low as it can.
         assert 105.0 <= solution.trajectory.evaluate(time)[:, 2].max() < 106.0
         free = plan(replace(problem, min_elevation_deg=None))
         assert free.trajectory.evaluate(time)[:, 2].max() < 105.0
@@ -272,7 +272,7 @@ class TestSymmetries:
 def route(problem: Problem, pieces: int, at_ends: int) -> tuple[Corridor, Array]:
     sequence = candidate_routes(problem, 1)[0].sequence
     corridor = build_corridor(problem, sequence, pieces_per_leg=pieces, pieces_at_ends=at_ends)
-    return corridor, spread_waypoints(problem, corridor, polyline_along(problem, sequence)[0])
+    return corridor, place_joints(problem, corridor, polyline_along(problem, sequence)[0])
 
 
 class TestPaperLike:
@@ -332,12 +332,12 @@ class TestPaperLike:
             assert certify(problem, solution.trajectory).feasible, name
 
 
-class TestSpread:
+class TestJointPlacement:
     def test_joints_lie_on_the_polyline_and_gather_where_speed_changes(self) -> None:
         """One long leg: the first and last pieces are the shortest, the longest is in the middle."""
         problem = make_problem([0, 0, 110], [9000, 0, 110], [[4500, 0, 0, 6000]])
         corridor = build_corridor(problem, [0], pieces_per_leg=6)
-        points = spread_waypoints(problem, corridor, np.array([[0, 0, 110], [9000, 0, 110.0]]))
+        points = place_joints(problem, corridor, np.array([[0, 0, 110], [9000, 0, 110.0]]))
         assert points[[0, -1]] == pytest.approx(np.array([[0, 0, 110], [9000, 0, 110.0]]))
         assert points[:, 1:] == pytest.approx(np.tile([0.0, 110.0], (7, 1)))
         lengths = np.diff(points[:, 0])
@@ -346,12 +346,12 @@ class TestSpread:
         assert lengths[0] < lengths[1] < lengths[2]
 
     def test_entry_and_exit_pieces_stay_in_both_ranges(self) -> None:
-        """The lens of two ranges is 200 m wide on the way; half an overlap at full speed would be 250 m."""
+        """The overlap of two ranges is 200 m wide on the way; half the overlap time at full speed would be 250 m."""
         problem = make_problem(
             [-500, 0, 100], [2300, 0, 100], [[0, 0, 100, 1000], [1800, 0, 100, 1000]], min_overlap_s=10.0
         )
         corridor = build_corridor(problem, [0, 1])
-        points = spread_waypoints(problem, corridor, np.array([[-500, 0, 100], [880, 0, 100], [2300, 0, 100.0]]))
+        points = place_joints(problem, corridor, np.array([[-500, 0, 100], [880, 0, 100], [2300, 0, 100.0]]))
         assert len(points) == len(corridor) + 1
         # start, exit piece begins, handover, entry piece ends, destination
         assert points[:, 0] == pytest.approx([-500, 880 - 0.99 * 80, 880, 880 + 0.99 * 120, 2300])
@@ -362,13 +362,13 @@ class TestSpread:
     def test_legs_without_length(self) -> None:
         problem = make_problem([5, 5, 110], [5, 5, 110], [[0, 0, 0, 600], [0, 10, 0, 600]], min_overlap_s=5.0)
         corridor = build_corridor(problem, [0, 1], pieces_per_leg=2)
-        points = spread_waypoints(problem, corridor, np.tile([5.0, 5.0, 110.0], (3, 1)))
+        points = place_joints(problem, corridor, np.tile([5.0, 5.0, 110.0], (3, 1)))
         assert points == pytest.approx(np.tile([5.0, 5.0, 110.0], (len(corridor) + 1, 1)))
 
     def test_polyline_of_another_corridor(self) -> None:
         problem = make_problem([0, 0, 110], [900, 0, 110], [[0, 0, 0, 600], [900, 0, 0, 600]])
         with pytest.raises(ValueError, match=r"\(legs \+ 1, 3\) = \(3, 3\)"):
-            spread_waypoints(problem, build_corridor(problem, [0, 1]), np.zeros((2, 3)))
+            place_joints(problem, build_corridor(problem, [0, 1]), np.zeros((2, 3)))
 
 
 class TestExtremes:
@@ -402,7 +402,7 @@ class TestExtremes:
         assert solution.converged
         assert certify(problem, solution.trajectory).feasible
 
-    def test_a_millimetre_of_lens(self) -> None:
+    def test_a_millimetre_of_overlap(self) -> None:
         """Through an opening of 1 mm by 1.4 m the flight hardly slows down, with an overlap it stops."""
         for overlap_s in (0.0, 5.0):
             problem = make_problem(
@@ -453,10 +453,10 @@ class TestExtremes:
             flat = problem.limits.min_alt_m == problem.limits.max_alt_m
             polyline, _ = polyline_along(problem, range(problem.station_count))
             corridor = build_corridor(problem, range(problem.station_count), pieces_per_leg=2, pieces_at_ends=3)
-            waypoints = spread_waypoints(problem, corridor, polyline)
+            waypoints = place_joints(problem, corridor, polyline)
             solved += 1
             try:
-                solution = solve_corridor(seen_from_above(problem) if flat else problem, corridor, waypoints)
+                solution = solve_corridor(planar_problem(problem) if flat else problem, corridor, waypoints)
             except SolverError:
                 failed += 1
                 continue

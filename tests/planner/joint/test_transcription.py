@@ -13,12 +13,12 @@ from planner import bezier
 from planner.joint.control_rows import GAUSS_NODES, GAUSS_WEIGHTS, J_ROWS, K_ROWS, P_ROWS, Q_ROWS, table
 from planner.joint.newton import NewtonSystem
 from planner.joint.objective import Objective
-from planner.joint.transcription import HeightConstraints, NormConstraints, ShootingProblem
+from planner.joint.transcription import HeightConstraints, NormConstraints, Transcription
 
 Array = NDArray[np.float64]
 
 
-def random_program(rng: np.random.Generator, pieces: int, *, jerk: bool, energy: bool) -> ShootingProblem:
+def random_program(rng: np.random.Generator, pieces: int, *, jerk: bool, energy: bool) -> Transcription:
     """Every family of constraints with random data: balls, two to a piece at times, cones, jerk, wind, heights."""
     rows: list[NDArray[np.int64]] = []
     where: list[NDArray[np.int64]] = []
@@ -64,7 +64,7 @@ def random_program(rng: np.random.Generator, pieces: int, *, jerk: bool, energy:
         np.full(count, 1.5),
         rng.uniform(0.5, 2.0, count),
     )
-    return ShootingProblem(
+    return Transcription(
         table(jerk=jerk, nodes=energy),
         rng.normal(size=9),
         rng.normal(size=9),
@@ -254,9 +254,9 @@ def test_what_cannot_move_is_left_out() -> None:
     )
     heights = HeightConstraints(*(np.zeros(0, int) for _ in range(2)), *(np.zeros(0) for _ in range(3)))
     rest = np.zeros(9)
-    program = ShootingProblem(table(), rest, np.concatenate([np.ones(3), np.zeros(6)]), norms, heights, np.ones(1))
+    program = Transcription(table(), rest, np.concatenate([np.ones(3), np.zeros(6)]), norms, heights, np.ones(1))
     assert program.norms.rows.tolist() == [7, 10, 11]
     moving = np.concatenate([np.zeros(3), np.ones(3), np.zeros(3)])
-    program = ShootingProblem(table(), moving, rest, norms, heights, np.ones(1))
+    program = Transcription(table(), moving, rest, norms, heights, np.ones(1))
     # Now P_1, P_2 move with T; P_0 and Q_1 = V stay.
     assert program.norms.rows.tolist() == [1, 2, 7, 10, 11]

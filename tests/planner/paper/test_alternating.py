@@ -204,7 +204,7 @@ def test_a_start_too_fast_to_stay_in_range_is_refused() -> None:
         plan_paper(problem)
 
 
-# Seeds that once went wrong: millimetre lenses of huge ranges, a band of no height, elevation cones that only touch.
+# Seeds that once went wrong: millimetre overlaps of huge ranges, a band of no height, elevation cones that only touch.
 @pytest.mark.slow
 @given(st.integers(0, 1_000_000))
 @example(104)

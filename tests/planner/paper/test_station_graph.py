@@ -142,9 +142,9 @@ def test_an_end_out_of_range_says_by_how_much(two_stations: Problem) -> None:
     assert caught.value.infeasibility.reason == "start_altitude"
 
 
-def test_a_lens_too_thin_to_use_has_no_gap_and_is_none() -> None:
+def test_an_overlap_too_thin_to_use_has_no_gap_and_is_none() -> None:
     problem = make_problem([0, 0, 100], [1000, 0, 100], [[0, 0, 100, 500], [1000 - 5e-4, 0, 100, 500]])
-    with pytest.raises(InfeasibleError, match="a lens of less than 1 mm") as caught:
+    with pytest.raises(InfeasibleError, match="an overlap of less than 1 mm") as caught:
         check_sequence(problem, [0, 1])
     assert caught.value.infeasibility.gap_m == 0.0
     assert caught.value.infeasibility.position_m == pytest.approx((500.0, 0.0, 100.0), abs=1e-3)

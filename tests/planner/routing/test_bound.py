@@ -47,7 +47,7 @@ def test_start_is_destination() -> None:
     assert lower_bound(problem).time_s == 0.0
 
 
-def test_two_discs_and_the_tip_of_their_lens() -> None:
+def test_two_discs_and_the_tip_of_their_overlap() -> None:
     """Antennas at the band's floor: discs of radius 1000 at x = 0 and x = 1600 cross at (800, +-600).
 
         start (0, 900) ........ tip (800, 600) ........ end (1600, 900)
@@ -311,7 +311,7 @@ def test_best_known_times_are_just_above(name: str) -> None:
 
 @given(st.integers(0, 10_000), st.integers(1, 9), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 def test_never_above_a_path_that_exists(seed: int, count: int, bend: float, lift: float) -> None:
-    """A chain of lenses on hills, a polyline inside it: no bound may exceed that polyline's length."""
+    """A chain of overlaps on hills, a polyline inside it: no bound may exceed that polyline's length."""
     rng = np.random.default_rng(seed)
     stations, points = [], [np.array([0.0, 0.0, 150.0 + 40 * lift])]
     for _ in range(count):

@@ -106,10 +106,10 @@ def test_hills_meet_where_a_plane_would_not_see_it() -> None:
 
 
 def test_a_costly_handover_is_flown_around() -> None:
-    """Two ways: through a lens 2 m deep, straight on, or over a third station a little aside.
+    """Two ways: through an overlap 2 m deep, straight on, or over a third station a little aside.
 
-        A (0, 0) R 1000 ........ B (1988, 0) R 1000     discs of 995 m at 100 m: a lens 2 m deep at x = 994
-                    C (994, -920) R 900                 wide lenses with both
+        A (0, 0) R 1000 ........ B (1988, 0) R 1000     discs of 995 m at 100 m: an overlap 2 m deep at x = 994
+                    C (994, -920) R 900                 wide overlaps with both
 
     Free handovers: A, B. With 5 s of overlap a stop costs more than the detour: A, C, B.
     """

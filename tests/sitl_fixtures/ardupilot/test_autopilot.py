@@ -1,4 +1,4 @@
-"""ArduCopter's manners beyond the recordings: ownership, traps, failsafes."""
+"""ArduCopter beyond the recordings: ownership, traps, failsafes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fixtures.errors import ConfigurationError
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.support.sitl_station import (
     ACCEPTED,
     ALL,
@@ -44,9 +43,9 @@ def moving(rig: Rig, station: Station, speed: float = 15.0, mask: int = ALL, sec
 def test_before_4_7_one_station_is_heard_under_older_names_and_there_is_no_range() -> None:
     enforced = ("SYSID_MYGCS=254", "SYSID_ENFORCE=1")
     old = SimulatedAutopilot(SimulatorConfig(autopilot="ardupilot", firmware="4.6", parameters=enforced))
-    assert [old.personality.is_owner(i) for i in (253, 254, 255)] == [False, True, False]
+    assert [old.autopilot.is_owner(i) for i in (253, 254, 255)] == [False, True, False]
     assert not any(name in old.parameters for name in ("MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "MAV_OPTIONS", "MAV_SYSID"))
-    assert old.personality.version().flight_sw_version >> 16 == 0x0406
+    assert old.autopilot.version().flight_sw_version >> 16 == 0x0406
     for autopilot, firmware in (("px4", "4.6"), ("ardupilot", "3.2")):
         with pytest.raises(ConfigurationError, match=r"4\.6, with --autopilot ardupilot"):
             SimulatorConfig(autopilot=autopilot, firmware=firmware)
@@ -99,9 +98,9 @@ def test_setpoints_do_not_take_off_and_idling_disarms() -> None:
     station.stream(lambda now: {"position": (0, 0, -50)})
     rig.run(9.5)
     assert rig.sim.body.on_ground
-    assert rig.sim.personality.armed
+    assert rig.sim.autopilot.armed
     rig.run(1.0)
-    assert not rig.sim.personality.armed
+    assert not rig.sim.autopilot.armed
 
 
 def test_a_setpoint_during_the_climb_ends_the_take_off() -> None:
@@ -191,21 +190,21 @@ def test_global_setpoints_drop_the_acceleration_and_use_ardupilots_scale() -> No
 
 def test_owner_is_enforced_by_silence() -> None:
     rig, owner = airborne("ardupilot", links=3)
-    stranger, own_id = rig.station(1, 254), rig.station(2, 1)
-    assert stranger.read_parameter("GUID_TIMEOUT") is not None
+    foreign, own_id = rig.station(1, 254), rig.station(2, 1)
+    assert foreign.read_parameter("GUID_TIMEOUT") is not None
     assert owner.set_parameter("MAV_OPTIONS", 1.0).param_value == 1.0
     start = rig.now
-    assert stranger.read_parameter("GUID_TIMEOUT") is None
-    assert stranger.set_parameter("GUID_TIMEOUT", 1.0) is None
-    assert stranger.set_mode(BRAKE) == []
-    stranger.local((50, 0, -50))
-    stranger.send(mavlink.MAVLink_timesync_message(0, 1234))
-    stranger.send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
+    assert foreign.read_parameter("GUID_TIMEOUT") is None
+    assert foreign.set_parameter("GUID_TIMEOUT", 1.0) is None
+    assert foreign.set_mode(BRAKE) == []
+    foreign.local((50, 0, -50))
+    foreign.send(mavlink.MAVLink_timesync_message(0, 1234))
+    foreign.send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
     rig.run(3.0)
     assert rig.off(0, 0) < 0.5
-    assert not stranger.of("TIMESYNC", start)
-    assert not stranger.of("MISSION_COUNT", start)
-    assert len(stranger.of("HEARTBEAT", start)) >= 3  # telemetry is never cut
+    assert not foreign.of("TIMESYNC", start)
+    assert not foreign.of("MISSION_COUNT", start)
+    assert len(foreign.of("HEARTBEAT", start)) >= 3  # telemetry is never cut
     assert own_id.read_parameter("MAV_GCS_SYSID").param_value == 255.0  # the back door
 
 
@@ -301,7 +300,7 @@ def test_return_climbs_to_the_return_altitude_flies_home_and_disarms() -> None:
     rig.run(30.0)
     station.set_mode(AP_RTL)
     highest = 0.0
-    while rig.sim.personality.armed:
+    while rig.sim.autopilot.armed:
         rig.run(0.5)
         highest = max(highest, -rig.place[2])
         assert rig.now < 400.0
@@ -324,7 +323,7 @@ def test_return_goes_to_a_rally_point_within_its_limit(limit_km: float, expected
     station.local((300, 0, -50))
     rig.run(40.0)
     station.set_mode(AP_RTL)
-    rig.until(lambda: not rig.sim.personality.armed, 300.0)
+    rig.until(lambda: not rig.sim.autopilot.armed, 300.0)
     assert rig.place[0] == pytest.approx(expected, abs=2.0)
 
 
@@ -346,7 +345,7 @@ def test_estimate_failure_lands() -> None:
 def test_disarm_in_flight_needs_force() -> None:
     rig, station = airborne("ardupilot")
     assert station.arm(False) == [FAILED]
-    assert rig.sim.personality.armed
+    assert rig.sim.autopilot.armed
     assert station.arm(False, force=21196.0) == [ACCEPTED]
     rig.run(6.0)
     assert rig.sim.body.on_ground
@@ -404,5 +403,5 @@ def test_land_slows_down_near_the_ground() -> None:
     assert rig.sim.body.vd == pytest.approx(1.5, abs=0.1)
     rig.until(lambda: rig.place[2] > -6.0, 30.0)
     assert rig.sim.body.vd == pytest.approx(0.5, abs=0.1)
-    rig.until(lambda: not rig.sim.personality.armed, 40.0)
+    rig.until(lambda: not rig.sim.autopilot.armed, 40.0)
     assert rig.sim.body.impact_m_s == pytest.approx(0.5, abs=0.1)

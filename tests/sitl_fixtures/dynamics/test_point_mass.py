@@ -9,7 +9,7 @@ from geographiclib.geodesic import Geodesic
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl_fixtures.dynamics.point_mass import GRAVITY_M_S2, PointMass, radii_m, top_speed_m_s
+from sitl_fixtures.dynamics.point_mass import GRAVITY_M_S2, PointMass, radii_m
 
 
 def flying(lat: float = 53.0, lon: float = 5.0, height: float = 100.0, **options: float) -> PointMass:
@@ -17,6 +17,15 @@ def flying(lat: float = 53.0, lon: float = 5.0, height: float = 100.0, **options
     body.height_m = height
     body.on_ground = False
     return body
+
+
+def top_speed_m_s(tilt_rad: float, drag_linear_1_s: float, drag_quadratic_1_m: float) -> float:
+    """Speed through the air at which drag takes the whole horizontal thrust of a lean angle, m/s."""
+    push = GRAVITY_M_S2 * math.tan(tilt_rad)
+    if drag_quadratic_1_m <= 0.0:
+        return push / drag_linear_1_s if drag_linear_1_s > 0.0 else math.inf
+    root = math.sqrt(drag_linear_1_s * drag_linear_1_s + 4.0 * drag_quadratic_1_m * push)
+    return (root - drag_linear_1_s) / (2.0 * drag_quadratic_1_m)
 
 
 def test_falls_as_a_stone_without_rotors() -> None:
@@ -32,7 +41,9 @@ def test_top_speed_is_where_lean_and_drag_balance() -> None:
     """30 degrees of lean push 9.80665 tan 30 = 5.662 m/s^2; with c2 = 5.662 / 10.5^2 that is 10.5 m/s."""
     c2 = GRAVITY_M_S2 * math.tan(math.radians(30.0)) / 10.5**2
     assert top_speed_m_s(math.radians(30.0), 0.0, c2) == pytest.approx(10.5)
-    body = flying(tilt_rad=math.radians(30.0), drag_linear_1_s=0.0, drag_quadratic_1_m=c2)
+    body = flying(tilt_rad=math.radians(30.0))
+    body.cap_speed(10.5)
+    assert (body.drag_linear_1_s, body.drag_quadratic_1_m) == (0.0, c2)
     for _ in range(6000):
         body.step(99.0, 0.0, 0.0, 0.01, rotors=True)
     assert body.vn == pytest.approx(10.5, abs=0.01)

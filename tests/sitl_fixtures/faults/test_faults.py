@@ -12,10 +12,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fixtures.errors import ConfigurationError
-from sitl_fixtures.faults.fault import listing
-from sitl_fixtures.faults.table import FAULTS
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.faults import FAULTS, listing
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.support.sitl_station import ACCEPTED, DENIED, FAILED, GUIDED, OFFBOARD, UNSUPPORTED, Rig, Station, airborne
 
 Check = Callable[[Rig, Station], None]
@@ -289,7 +287,7 @@ def no_effect(rig: Rig, station: Station) -> None:
 @ground("command-denied", "command-failed:400", "command-unsupported:400")
 def refused(rig: Rig, station: Station) -> None:
     assert station.arm() in ([DENIED], [FAILED], [UNSUPPORTED])
-    assert not rig.sim.personality.armed
+    assert not rig.sim.autopilot.armed
 
 
 @ground("command-rejected-once:400")
@@ -301,9 +299,9 @@ def rejected_once(rig: Rig, station: Station) -> None:
 @ground("command-in-progress:2")
 def in_progress(rig: Rig, station: Station) -> None:
     assert station.arm() == [mavlink.MAV_RESULT_IN_PROGRESS]
-    assert not rig.sim.personality.armed
+    assert not rig.sim.autopilot.armed
     rig.run(2.1)
-    assert rig.sim.personality.armed
+    assert rig.sim.autopilot.armed
     assert [m.result for m in station.of("COMMAND_ACK")] == [5, 0]
 
 
@@ -369,28 +367,28 @@ def falls(rig: Rig, station: Station) -> None:
     assert rig.sim.body.impact_m_s > 15.0
 
 
-@air("stranger-streams:20@A25+30")
-def stranger_streams(rig: Rig, station: Station) -> None:
+@air("foreign-station-streams:20@A25+30")
+def foreign_station_streams(rig: Rig, station: Station) -> None:
     rig.run(10.0)
     assert rig.off(20, 0) < 1.0
     assert rig.sim.accepted_setpoints[-1][2] == 99
 
 
-@air("stranger-returns@A25")
-def stranger_returns(rig: Rig, station: Station) -> None:
+@air("foreign-station-returns@A25")
+def foreign_station_returns(rig: Rig, station: Station) -> None:
     assert rig.mode == "RTL"
 
 
-@air("stranger-parameter:GUID_TIMEOUT=0.5@A25")
-def stranger_parameter(rig: Rig, station: Station) -> None:
+@air("foreign-station-parameter:GUID_TIMEOUT=0.5@A25")
+def foreign_station_parameter(rig: Rig, station: Station) -> None:
     assert station.read_parameter("GUID_TIMEOUT").param_value == 0.5
 
 
-@air("stranger-heartbeat", autopilot="px4")
-def stranger_beats(rig: Rig, station: Station) -> None:
+@air("foreign-station-heartbeat", autopilot="px4")
+def foreign_station_beats(rig: Rig, station: Station) -> None:
     rig.beating = False
     rig.run(15.0)
-    failsafe: Any = rig.sim.personality
+    failsafe: Any = rig.sim.autopilot
     assert not failsafe.failsafe.gcs_lost
 
 
@@ -507,7 +505,7 @@ def count_off(rig: Rig, station: Station) -> None:
 @air("reboot@A25")
 def reboots(rig: Rig, station: Station) -> None:
     start = rig.now + 0.1
-    assert not rig.sim.personality.armed
+    assert not rig.sim.autopilot.armed
     rig.run(0.8)
     assert not station.of("HEARTBEAT", start)
     rig.run(1.5)
@@ -611,8 +609,8 @@ def test_fault(specification: str) -> None:
     else:
         rig, station = airborne(setting, faults=(specification,))
         since = rig.sim.faults.acting[0]
-        if since.since == "A" and rig.sim.personality.armed:
-            rig.run(max(0.0, rig.sim.personality.armed_at_s + since.start_s - rig.sim.time_s) + 0.02)
+        if since.since == "A" and rig.sim.autopilot.armed:
+            rig.run(max(0.0, rig.sim.autopilot.armed_at_s + since.start_s - rig.sim.time_s) + 0.02)
     check(rig, station)
 
 

@@ -175,7 +175,7 @@ def test_flies_the_mission_it_was_given(autopilot: str) -> None:
     assert upload(station, items) == 0
     rig.streams.clear()
     assert station.command(300) == [ACCEPTED]
-    rig.until(lambda: not rig.sim.personality.armed, 250.0)
+    rig.until(lambda: not rig.sim.autopilot.armed, 250.0)
     reached = [m.seq for m in station.of("MISSION_ITEM_REACHED")]
     assert reached == ([0, 1] if autopilot == "px4" else [1, 2])
     # 0.001 degree of latitude is 111 m, 0.002 of longitude at 53 N 134 m.
@@ -189,7 +189,7 @@ def test_a_mission_takes_off_by_itself() -> None:
     station.arm()
     assert station.set_mode(3) == [ACCEPTED]
     rig.until(lambda: rig.place[2] < -19.0, 60.0)
-    rig.until(lambda: not rig.sim.personality.armed, 200.0)
+    rig.until(lambda: not rig.sim.autopilot.armed, 200.0)
     assert rig.off(0, 0) < 1.0
 
 

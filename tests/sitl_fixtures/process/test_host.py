@@ -16,14 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fixtures.__main__ import main
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.process.host import Address, Host
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
+from tests.support.flight_processes import free_ports
 
 
 class Ground:
@@ -88,7 +82,7 @@ def simulator() -> Iterator[Any]:
 
 def test_two_links_one_vehicle(simulator: Any) -> None:
     """What A sets B sees; each is answered on its own link; the speed-up is told."""
-    ports = free_port(), free_port()
+    ports = free_ports(1)[0], free_ports(1)[0]
     simulator(
         *["--autopilot", "ardupilot", "--speedup", "20", "--home", "53.1,5.2,3.0", "--ready-after", "1"],
         *[f"--listen=udpin:127.0.0.1:{port}" for port in ports],
@@ -112,7 +106,7 @@ def test_two_links_one_vehicle(simulator: Any) -> None:
 @pytest.mark.slow
 def test_flies_over_real_sockets_on_the_vehicles_clock(simulator: Any) -> None:
     """Takes off and follows a stream at 25 times real time; SYSTEM_TIME is the vehicle's clock."""
-    port = free_port()
+    port = free_ports(1)[0]
     simulator("--autopilot", "ardupilot", "--speedup", "25", f"--listen=udpin:127.0.0.1:{port}", "--ready-after", "1")
     station = Ground(port)
     station.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
@@ -133,7 +127,7 @@ def test_flies_over_real_sockets_on_the_vehicles_clock(simulator: Any) -> None:
 
 def taken_times(speedup: float, rounds: list[Callable[[socket.socket, int], None]], seconds: float) -> list[float]:
     """Vehicle times at which a host takes datagrams; each round is run inside one of its steps, as a stall would be."""
-    port = free_port()
+    port = free_ports(1)[0]
     vehicle = SimulatedAutopilot(SimulatorConfig(autopilot="px4", speedup=speedup))
     host = Host(vehicle, [Address.parse(f"udpin:127.0.0.1:{port}")], speedup)
     taken: list[float] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 import time
@@ -11,15 +10,11 @@ from typing import Any
 
 import pytest
 
+from tests.support.flight_processes import free_ports
+
 mavsdk = pytest.importorskip("mavsdk")
 
 SPEEDUP = 4.0
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def wait(condition: Callable[[], Any], limit_s: float = 40.0) -> None:
@@ -40,7 +35,7 @@ def test_mavsdk_reads_sets_uploads_arms_takes_off_and_lands(autopilot: str, para
     from mavsdk.plugins.param import Param
     from mavsdk.plugins.telemetry import Telemetry
 
-    port = free_port()
+    port = free_ports(1)[0]
     process = subprocess.Popen(
         [
             *[sys.executable, "-m", "sitl_fixtures", "--autopilot", autopilot, "--speedup", str(SPEEDUP)],

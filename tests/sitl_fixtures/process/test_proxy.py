@@ -13,7 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sitl_fixtures.errors import ConfigurationError
-from sitl_fixtures.process.proxy import Impairment, LossyChannel, main
+from sitl_fixtures.process import Impairment, LossyChannel
+from sitl_fixtures.process.proxy import main
+from tests.support.flight_processes import free_ports
 
 
 def passed(channel: LossyChannel, count: int, interval_s: float = 0.02) -> list[tuple[float, int]]:
@@ -108,19 +110,13 @@ def test_bad_options_end_with_two(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--cut" in capsys.readouterr().err
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.mark.slow
 def test_the_process_relays_both_ways() -> None:
     """Through real sockets: everything sent comes back, delayed twice by the latency."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:
         far.bind(("127.0.0.1", 0))
         far.settimeout(10.0)
-        port = free_port()
+        port = free_ports(1)[0]
         process = subprocess.Popen(
             [
                 *[sys.executable, "-m", "sitl_fixtures.process.proxy", "--listen", f"udpin:127.0.0.1:{port}"],

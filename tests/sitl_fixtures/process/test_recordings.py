@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from tests.support.sitl_replay import KEYS, Replay, compare, load
+from tests.support.paths import RECORDINGS
+from tests.support.sitl_replay import KEYS, Replay, compare, read_recording
 
 TOLERANCE_S = 0.35
 KINDS = {
@@ -95,7 +96,7 @@ def key_of(entry: dict[str, Any]) -> bytes:
 
 @cache
 def replayed(name: str) -> Replay:
-    return Replay(load(name), key_of=key_of).run()
+    return Replay(read_recording(name), key_of=key_of).run()
 
 
 def allowed(name: str, words: str, table: list[Any]) -> bool:
@@ -104,7 +105,7 @@ def allowed(name: str, words: str, table: list[Any]) -> bool:
 
 def check_answers_order_and_timing(name: str) -> None:
     """The same answers on each link, in order, and in time."""
-    recording, replay = load(name), replayed(name)
+    recording, replay = read_recording(name), replayed(name)
     for link in replay.links:
         first = min(entry["t"] for entry in recording.sent if entry["link"] == link)
         found = compare(recording, replay, link, KINDS, since_s=min(first, 3.2) if first < 60.0 else first)
@@ -119,8 +120,6 @@ def check_answers_order_and_timing(name: str) -> None:
 
 
 def test_every_recording_is_replayed() -> None:
-    from tests.support.sitl_replay import RECORDINGS
-
     assert {path.name.removesuffix(".jsonl.gz") for path in RECORDINGS.glob("*.gz")} == set(NAMES)
 
 
@@ -132,7 +131,7 @@ def path_differences(name: str, start: float, end: float) -> tuple[float, float]
 
     A stall of the recording machine shows as a sample or two up to 3 m along the track.
     """
-    recording, replay = load(name), replayed(name)
+    recording, replay = read_recording(name), replayed(name)
     times = [sample[0] for sample in replay.path]
     worst = worst_z = 0.0
     for heard in recording.heard:
@@ -176,7 +175,7 @@ def check_flies_where_the_real_one_flew(name: str) -> None:
 
 def after_stop(name: str, mark: str, table: str) -> list[tuple[float, float, float, float, float]]:
     """(seconds, real and simulated speed, real and simulated distance) after a stream stopped."""
-    recording, replay = load(name), replayed(name)
+    recording, replay = read_recording(name), replayed(name)
     stop = recording.mark(mark)
     base = replay.at(stop)
     rows = []
@@ -215,7 +214,7 @@ def check_px4_is_pulled_back_at_once(name: str) -> None:
 
 
 def check_stop(leg: str) -> None:
-    recording, replay = load("px4-stream-loss"), replayed("px4-stream-loss")
+    recording, replay = read_recording("px4-stream-loss"), replayed("px4-stream-loss")
     stop = next(t for t, words in recording.header["marks"] if words.startswith(leg) and words.endswith("stream stops"))
     name = next(k for k in recording.header["observed"] if k.startswith(leg) and k.endswith("[s, m/s, m]"))
     base = replay.at(stop)
@@ -245,7 +244,7 @@ def check_what_is_made_of_every_odd_setpoint(name: str) -> None:
     """The mask and the target echoed 0.95 s after each of 98 odd set-points are the real ones."""
     if not name.endswith("bad-setpoints"):
         return
-    recording, replay = load(name), replayed(name)
+    recording, replay = read_recording(name), replayed(name)
     cases = [(t, w) for t, w in recording.header["marks"] if w.split(": ")[0] in ("hover", "motion", "NaN")]
     assert len(cases) >= 38
     for t, words in cases:
@@ -267,7 +266,7 @@ def check_what_is_made_of_every_odd_setpoint(name: str) -> None:
 def real_modes(name: str) -> list[tuple[float, int]]:
     """Changes of custom_mode in the recorded heartbeats of link A."""
     changes: list[tuple[float, int]] = []
-    for h in load(name).heard:
+    for h in read_recording(name).heard:
         if (
             h.name == "HEARTBEAT"
             and h.link == "A"
@@ -304,7 +303,7 @@ def check_px4_offboard_is_left_and_taken_up_again(name: str) -> None:
     # The pause of 1.3 s, and the four stops.
     left_for = ["HOLD", "RTL", "RTL", "HOLD", "HOLD", "RTL"]
     assert [mode for _, mode in modes] == [mode for left in left_for for mode in (left, "OFFBOARD")]
-    recording = load("px4-stream-loss")
+    recording = read_recording("px4-stream-loss")
     commanded = recording.mark("stop, Hold, operator commands HOLD before the stream resumes: OFFBOARD commanded")
     assert any(abs(t - commanded) < 0.2 and mode == "OFFBOARD" for t, mode in modes)
 
@@ -325,7 +324,7 @@ def check_the_new_owner_is_obeyed_at_once(name: str) -> None:
 
 
 def check_takeover(name: str, mark: str, link: str, height_m: float) -> None:
-    recording, replay = load(name), replayed(name)
+    recording, replay = read_recording(name), replayed(name)
     start = next(t for t, words in recording.header["marks"] if words == mark)
     sent = [
         e["t"]

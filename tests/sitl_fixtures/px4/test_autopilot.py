@@ -1,4 +1,4 @@
-"""PX4's manners beyond the recordings: what a ground station has to get right."""
+"""PX4 beyond the recordings: what a ground station has to get right."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ def test_gcs_loss_matters_only_when_told_to() -> None:
 def test_land_command_lands_disarms_and_shows_the_mode_of_before() -> None:
     rig, station = airborne("px4", height_m=20.0)
     assert station.set_mode(LAND) == [ACCEPTED, ACCEPTED]
-    rig.until(lambda: not rig.sim.personality.armed, 60.0)
+    rig.until(lambda: not rig.sim.autopilot.armed, 60.0)
     assert station.texts()[-2:] == ["Landing detected", "Disarmed by landing"]
     assert rig.mode == "OFFBOARD"
     assert rig.sim.body.on_ground
@@ -251,7 +251,7 @@ def test_return_flies_home_and_lands_there() -> None:
     rig.run(20.0)
     rig.streams.clear()
     station.set_mode(RTL)
-    rig.until(lambda: not rig.sim.personality.armed, 200.0)
+    rig.until(lambda: not rig.sim.autopilot.armed, 200.0)
     assert rig.off(0.0, 0.0) < 1.0
 
 
@@ -271,7 +271,7 @@ def test_return_goes_to_the_nearest_rally_point() -> None:
     rig.run(25.0)
     station.set_mode(RTL)
     rig.streams.clear()
-    rig.until(lambda: not rig.sim.personality.armed, 200.0)
+    rig.until(lambda: not rig.sim.autopilot.armed, 200.0)
     assert rig.off(200.15, 0.0) < 1.5
 
 
@@ -303,5 +303,5 @@ def test_arming_without_take_off_is_undone() -> None:
     rig.run(4.0)
     station.arm()
     rig.run(10.2)
-    assert not rig.sim.personality.armed
+    assert not rig.sim.autopilot.armed
     assert station.texts()[-1] == "Disarmed by auto preflight disarming"

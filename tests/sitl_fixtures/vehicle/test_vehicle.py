@@ -17,8 +17,7 @@ from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.mavlink.parameters import INT32, REAL32, ParameterSet, bits_of_int, int_of_bits
 from sitl_fixtures.mavlink.wire import PLAIN, Packer, Port
 from sitl_fixtures.px4.parameters import PX4
-from sitl_fixtures.vehicle.config import SimulatorConfig
-from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
+from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.support.sitl_station import ALL, POSITION_VELOCITY, Rig, airborne
 
 

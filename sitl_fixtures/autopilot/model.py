@@ -1,97 +1,94 @@
-"""What the two autopilots have in common: state, addressing, the shape of a command and of an answer.
+"""What the two autopilot models have in common: state, addressing, the shape of an answer.
 
-A personality is told of every message and of every step; it decides what is obeyed, what is answered, in which order.
-What differs between autopilots lives in ``ardupilot.py`` and ``px4.py``.
+A model is told of every message and of every step; it decides what is obeyed, what is answered, in which order. What
+differs between autopilots lives in ``ardupilot`` and ``px4``.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from sitl_fixtures.autopilot.command import Command
+from sitl_fixtures.autopilot.mission_flight import MissionFlight
+from sitl_fixtures.dynamics.estimator import OffsetProjection, SphereProjection
 from sitl_fixtures.dynamics.guidance import ZERO, Guidance, Vector
-from sitl_fixtures.mavlink.mission_protocol import Manners
-from sitl_fixtures.mavlink.parameters import Parameter, Row
+from sitl_fixtures.mavlink.mission_protocol import Missions, TransferRules
+from sitl_fixtures.mavlink.parameters import Parameter, ParameterSet, Row
+from sitl_fixtures.mavlink.signing import Signing
+from sitl_fixtures.mavlink.telemetry import Telemetry
 from sitl_fixtures.mavlink.wire import Message
+from sitl_fixtures.vehicle_protocol import VehicleProtocol
 
-if TYPE_CHECKING:
-    from sitl_fixtures.dynamics.estimator import OffsetProjection, SphereProjection
-    from sitl_fixtures.vehicle.vehicle import SimulatedAutopilot
-
-ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
-TEMPORARILY_REJECTED = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-DENIED = mavlink.MAV_RESULT_DENIED
-UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
-FAILED = mavlink.MAV_RESULT_FAILED
-
-REQUEST_OPERATOR_CONTROL = 32100
-FORCE_DISARM = 21196.0
 INFO, WARNING, CRITICAL = mavlink.MAV_SEVERITY_INFO, mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL
-
-LANDED_UNDEFINED, ON_GROUND, IN_AIR, TAKING_OFF, LANDING = 0, 1, 2, 3, 4
-
-
-@dataclass(slots=True)
-class Command:
-    """A command, whichever of COMMAND_LONG and COMMAND_INT it came in."""
-
-    link: int
-    system_id: int
-    component_id: int
-    number: int
-    params: tuple[float, float, float, float, float, float, float]
-    frame: int | None
-    target_system: int
-    target_component: int
-
-    @classmethod
-    def of(cls, link: int, message: Message) -> Command:
-        """The command in a message."""
-        if message.get_type() == "COMMAND_INT":
-            tail = (message.x / 1e7, message.y / 1e7, message.z)
-            frame: int | None = message.frame
-        else:
-            tail = (message.param5, message.param6, message.param7)
-            frame = None
-        head = (message.param1, message.param2, message.param3, message.param4)
-        return cls(
-            link,
-            message.get_srcSystem(),
-            message.get_srcComponent(),
-            message.command,
-            (*head, *tail),
-            frame,
-            message.target_system,
-            message.target_component,
-        )
+ON_GROUND, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
+"""MAV_LANDED_STATE."""
 
 
-class Personality(ABC):
-    """State and manners of an autopilot. See ``ardupilot.ArduCopter`` and ``px4.Px4``."""
+class ModelledVehicle(VehicleProtocol, Protocol):
+    """The vehicle as its autopilot model sees it."""
 
-    NAME: ClassVar[str]
-    AUTOPILOT: ClassVar[int]
+    parameters: ParameterSet
+    missions: Missions
+    telemetry: Telemetry
+    signing: Signing
+
+    def send_parameter(self, parameter: Parameter, link: int | None, index: int | None = None) -> None:
+        """PARAM_VALUE on one link or all; ``index`` as the autopilot reports it."""
+
+    def set_aircraft(self, *, tilt_deg: float, drag_linear_1_s: float | None = None) -> None:
+        """Lean and drag of the aircraft, from parameters and options."""
+
+    def note_setpoint(self, link: int, system_id: int, message: str, target: dict[str, object]) -> None:
+        """Logs a set-point that was obeyed."""
+
+    def injected_arming_refusals(self) -> list[str]:
+        """Reasons not to arm that injected faults give."""
+
+    def reboot(self) -> None:
+        """Starts the autopilot anew."""
+
+
+class AutopilotModel(ABC):
+    """State and behaviour of an autopilot. See ``ardupilot.autopilot.ArduCopter`` and ``px4.autopilot.Px4``.
+
+    Attributes:
+        armed, armed_at_s: whether the motors are armed, and since when.
+        yaw_rad, yaw_target_rad: heading, and the one wanted; None: along the course.
+        landed_state: MAV_LANDED_STATE.
+        home: latitude and longitude, degrees, and altitude AMSL, m.
+        command, rotors: what is asked of the aircraft in this step: acceleration (NED, m/s^2) and thrust at all.
+        hold_at: the place the mode in hand holds or goes to, local NED, m.
+        stage: how far a return has come; empty when it has not begun.
+        landed_for_s: how long it has stood on the ground after a landing, s.
+        failsafe_active: whether a failsafe chose the mode.
+    """
+
+    mav_autopilot: ClassVar[int]
     PROJECTION: ClassVar[type[SphereProjection] | type[OffsetProjection]]
     PARAMETERS: ClassVar[list[Row]]
     BITWISE_PARAMETERS: ClassVar[bool]
-    MISSIONS: ClassVar[Manners]
+    MISSIONS: ClassVar[TransferRules]
     ORIGIN_AT: ClassVar[float]
     """Share of the start-up after which the EKF origin is laid."""
     guidance: Guidance
 
-    def __init__(self, vehicle: SimulatedAutopilot) -> None:
+    def __init__(self, vehicle: ModelledVehicle) -> None:
         self.vehicle = vehicle
         self.params = vehicle.parameters
+        self.mission_flight = MissionFlight(vehicle, vehicle.missions, vehicle.parameters)
         self.armed = False
         self.yaw_rad = 0.0
         self.yaw_target_rad: float | None = None
         self.landed_state = ON_GROUND
         self.home: tuple[float, float, float] | None = None
         self.command: Vector = ZERO
+        self.hold_at: Vector = ZERO
+        self.stage = ""
+        self.landed_for_s = 0.0
         self.rotors = False
         self.failsafe_active = False
         self.armed_at_s = 0.0
@@ -194,7 +191,26 @@ class Personality(ABC):
     def acceptance_radius_m(self) -> float:
         """How near a waypoint counts as reached, m."""
 
+    @abstractmethod
+    def arming_refusals(self) -> list[str]:
+        """Reasons not to arm."""
+
     # -- shared -------------------------------------------------------------------------------------------------------
+
+    def arm(self) -> None:
+        """Arms: home is set where the vehicle stands."""
+        self.armed = True
+        self.armed_at_s = self.vehicle.time_s
+        self.set_home_here()
+
+    def set_home_here(self) -> None:
+        """Home is where the vehicle stands."""
+        self.home = self.vehicle.telemetry.believed_place()
+
+    def lean_deg(self, by_parameter_deg: float) -> float:
+        """Largest lean of the aircraft, degrees: the option's when there is one, else the parameter's."""
+        tilt_deg = self.vehicle.config.tilt_deg
+        return max(10.0, min(80.0, by_parameter_deg if tilt_deg is None else tilt_deg))
 
     def ack(self, command: Command, result: int) -> None:
         """COMMAND_ACK on the link the command came from."""
@@ -220,11 +236,16 @@ class Personality(ABC):
         return body.vn, body.ve, body.vd
 
     @property
+    def home_alt_amsl_m(self) -> float:
+        """Altitude of home AMSL, m; of the ground when there is no home."""
+        return self.home[2] if self.home is not None else self.vehicle.body.ground_m
+
+    @property
     def height_above_home_m(self) -> float:
         """Height above the home altitude by the estimate, m."""
-        origin = self.vehicle.estimator.origin
-        base = self.home[2] if self.home is not None else self.vehicle.body.ground_m
-        return (origin[2] - self.vehicle.estimator.d if origin is not None else self.vehicle.body.height_m) - base
+        estimate = self.vehicle.estimator
+        here = estimate.origin[2] - estimate.d if estimate.origin is not None else self.vehicle.body.height_m
+        return here - self.home_alt_amsl_m
 
     def home_local(self) -> Vector:
         """Home in the local frame, m; the origin when there is no home."""
@@ -233,6 +254,10 @@ class Personality(ABC):
             return ZERO
         north, east = estimate.projection.to_local(math.radians(self.home[0]), math.radians(self.home[1]))
         return north, east, estimate.origin[2] - self.home[2]
+
+    def return_place(self) -> Vector:
+        """Where a return goes to from here, local NED, m: a rally point or home."""
+        return self.mission_flight.rally_place() or self.home_local()
 
     def turn_yaw(self, dt: float, rate_rad_s: float) -> None:
         """Turns towards the yaw wanted; without one, along the course."""

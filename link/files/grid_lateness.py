@@ -1,4 +1,6 @@
-"""How late a stream was, read off the times alone at which its setpoints were sent.
+"""How late a stream was against its even grid, read off the times alone at which its setpoints were sent.
+
+An estimate from a log; the streamer counts its own against its own deadlines (`link.clock.TickLateness`).
 
 The streamer serves ticks on an even grid and never catches up what it missed, so a time lies on the grid, or after it.
 Which grid is not known: its rate is near that of most steps, and both rate and phase are taken by which all setpoints
@@ -8,9 +10,8 @@ together are least late. One setpoint out of place, however far, cannot move tha
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.arrays import Array
 
 EARLY_SHARE = 0.1
 """Of a period: so much before the grid, a setpoint counts as punctual, not as late by nearly a period."""
@@ -19,7 +20,7 @@ RATE_SHARE = 0.2
 _TRIED = 20_000
 
 
-def lateness_ms(time_s: Array) -> Array:
+def grid_lateness_ms(time_s: Array) -> Array:
     """How late each of two or more setpoints is, below one period: missed ticks show as gaps, not as lateness.
 
     ``time_s`` rises. The rate is a whole number of setpoints a second where one fits better than that of the steps.

@@ -1,4 +1,4 @@
-"""The vehicle's parameters a flight asks for before it starts: names old and new, units, what each is for.
+"""The catalogue of the vehicle's parameters a flight asks for: names old and new, units, what each is for.
 
 A name asked for may be unknown (the answer is silence), so every name of a parameter is asked for and the newest that
 answers counts. ArduCopter 4.7 began to give its parameters new names in metres and degrees; `ParameterName.measure`
@@ -7,9 +7,13 @@ turns whichever answered into one unit.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from link.microservices.parameter_value import Parameter
+
+Values = Mapping[str, Parameter | None]
+"""What was read of a vehicle's parameters, by `ParameterName.key`; None where it told none of the names."""
 
 
 @dataclass(frozen=True)
