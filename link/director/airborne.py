@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 
 from gcs.flight import EventKind, FlightState, TransitionError
 from link.director.diversion import Diversion
-from link.director.guidance import Course, Guidance
-from link.director.hold import Hold, HoldReason
+from link.director.guidance import Course, Guidance, Hold, HoldReason
 from link.director.landing import Landing
 from link.director.link_loss import LostC2Link
 from link.director.plan_exchange import STANDING_M, NextPlan, time_and_leg

@@ -7,8 +7,10 @@ a limit on the path and brakes before it (`link.setpoints.reference`).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import Enum, auto
 
+from gcs.flight import FlightState
 from link.director.plan_exchange import NextPlan
 from link.handover.handover_chain import HandoverChain
 from link.monitors.latency_compensation import LatencyCompensation
@@ -24,6 +26,35 @@ AT_LIMIT_M = 0.5
 """Standing this close before a limit is standing at it."""
 MOST_TRANSIT_ACCEL_M_S2 = 1.5
 DIVERSION_ACCEL_SHARE = 0.5
+
+
+class HoldReason(Enum):
+    """Why a flight stands; the value is what people are told."""
+
+    COMMANDED = "word"
+    """An operator said so."""
+    NEXT_PLAN = "a new plan"
+    """Another plan begins at rest here, or a little way back."""
+    BLIND = "the vehicle's position is not heard"
+    NOT_FOLLOWING = "the vehicle does not follow"
+    STATION_NOT_READY = "waiting"
+    """The handover ahead cannot be made yet."""
+    NOT_AUTHORISED = "authorised"
+    """The flight has come as far as it may."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """A flight that stands. ``resumes`` is the state it goes on in, ``detail`` the reason in more words."""
+
+    reason: HoldReason
+    resumes: FlightState
+    detail: str = ""
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        return self.detail or self.reason.value
 
 
 class Course(Enum):
