@@ -670,6 +670,11 @@ def test_a_fault_that_cannot_be_is_named(bad: str, words: str) -> None:
     assert words in str(found.value) or words == "see"
 
 
+def test_scripts_with_the_former_names_still_run() -> None:
+    vehicle = SimulatedAutopilot(SimulatorConfig(faults=("stranger-streams:50@T5",)))
+    assert [acting.fault.name for acting in vehicle.faults.acting] == ["foreign-station-streams"]
+
+
 def test_listing_has_a_line_for_each() -> None:
     text = listing()
     assert all(re.search(rf"^  {name}[ :]", text, re.MULTILINE) for name in FAULTS)
