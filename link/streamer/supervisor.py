@@ -151,12 +151,12 @@ class RunningFlight:
 
     # -- speaking -----------------------------------------------------------------------------------------------------
 
-    def command(self, word: str, **fields: Any) -> None:
-        """Give the flight an operator command (`gcs.flight`); fields as in `link.director.core.FlightCore.command`.
+    def command(self, command: str, **fields: Any) -> None:
+        """Give the flight an operator command; fields as in `link.director.core.FlightCore.command`.
 
         Raises `TransitionError` when the flight refuses it, `SupervisorError` when it cannot be reached.
         """
-        reply = self._ask({"word": str(word), **fields})
+        reply = self._ask({"word": str(command), **fields})
         if "error" in reply:
             raise TransitionError(str(reply["error"]))
 
@@ -165,8 +165,8 @@ class RunningFlight:
     ) -> None:
         """The operator command `replan`: fly another plan from here on (`gcs.planning.replanning.Replanned`).
 
-        Times are for a flight that stands. The plan's document stays in the run folder. Raises as `command` does, and
-        ``OSError``.
+        ``join_s`` and ``leave_s`` are for a flight that stands. The plan's document stays in the run folder. Raises as
+        `command` does, and ``OSError``.
         """
         name = str(document["plan_sha256"])
         partial = self.run_dir / f"plan-{name}.json.partial"

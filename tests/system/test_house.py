@@ -116,14 +116,14 @@ SURFACE = {
     "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store",
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
-    "link.director": "judge_next",
+    "link.director": "PREFLIGHT_VALID_S judge_next",
     "link.files": "FORMATS Format read_tlog report_flight setpoint_file",
     "link.microservices": "Parameter",
     "link.preflight": "Check Identity Level judge_failsafes judge_identity worst worst_first",
     "link.session": "FlightRequest",
     "link.setpoints": "RATE_LIMITS_HZ Setpoint SetpointSampler",
     "link.streamer": "FlightResult RunningFlight attach raise_priority start_flight",
-    "link.transport": "LinkLocks LinkUrl parse_url",
+    "link.transport": "LinkLocks LinkUrl Sender parse_url",
     "link.wire": "Signing SigningKey SigningStore StationCodec",
     "api.bench.paper": (
         "ALLOCATIONS TABLE_3 Results ResultsError Settings cells_3 draw_all matplotlib_available mean "
@@ -137,11 +137,11 @@ SURFACE = {
     "api.processes": "QUICK_MISSION Child ChildError Children home_under python_module start_simulator",
     "api.rest": "create_app",
     "api.rest.schemas": (
-        "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE FlightDetail "
-        "CommandBody FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
-        "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody "
-        "ProblemDetails RegisteredLink RegisteredStation RegisteredVehicle RegistryPage ReplanCommand "
-        "ReplanProposal ReplanRequest StationEntry Status VehicleEntry VersionList"
+        "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE CommandBody "
+        "FlightDetail FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
+        "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody ProblemDetails RegisteredLink "
+        "RegisteredStation RegisteredVehicle RegistryPage ReplanCommand ReplanProposal ReplanRequest StationEntry "
+        "Status VehicleEntry VersionList"
     ),
     "api.service": (
         "Changes FlightService FlightStatus Metrics Proposal ReplanError ReplanFailedError ReplanInfeasibleError "
