@@ -16,15 +16,16 @@ from importlib.metadata import PackageNotFoundError, version
 from gcs.errors import Finding, PlanningFailed
 from gcs.geodesy.plane import Plane
 from gcs.layout.planning_problem import lay_out
+from gcs.layout.problem_planner import PlannerLike, ProblemPlanner
 from gcs.mission.model import Mission
 from gcs.plan.contingency import contingencies
 from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
 from gcs.planning.certification import certify_true, true_lower_bound_s
-from gcs.planning.solve import PlannerLike, solve
+from gcs.planning.solve import solve
 from gcs.remedies.explanation import explain
 from gcs.timestamps import utc_text
-from planner import Method, Planner, Problem, Solution, Trajectory
+from planner import Method, Planner, Trajectory
 
 Progress = Callable[[str, float], None]
 
@@ -41,19 +42,11 @@ def product_version() -> str:
 class PlanningMethod:
     """How to plan, as `plan_mission` is told."""
 
-    planner: PlannerLike
-    method: Method = "joint"
-    time_limit_s: float | None = None
+    planner: ProblemPlanner
     created_utc: datetime | None = None
     notes: Sequence[str] = ()
     progress: Progress | None = None
     plane: Plane | None = None
-
-    def run(self, problem: Problem, energy_weight: float) -> Solution:
-        """A problem given to the planner; raises as `planner.Planner.plan` does."""
-        return self.planner.plan(
-            problem, method=self.method, time_limit_s=self.time_limit_s, energy_weight=energy_weight
-        )
 
 
 def plan_mission(
@@ -78,9 +71,7 @@ def plan_mission(
     Raises `MissionInfeasible` and `PlanningFailed`; `MissionError` when the stations flown cannot get system ids.
     """
     how = PlanningMethod(
-        planner=planner if planner is not None else default_planner(),
-        method=method or ("fast" if fast else "joint"),
-        time_limit_s=time_limit_s,
+        problem_planner(planner, method or ("fast" if fast else "joint"), time_limit_s),
         created_utc=created_utc,
         notes=notes,
         progress=progress,
@@ -90,7 +81,7 @@ def plan_mission(
         return find_plan(mission, how)
     except Finding as finding:
         # The one place where it is asked what would help; nothing below looks for it.
-        raise explain(finding, how.run) from finding
+        raise explain(finding, how.planner) from finding
 
 
 def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
@@ -100,7 +91,7 @@ def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
     tell("preparing", 0.0)
     laid = lay_out(mission, how.plane)
     tell("planning", 0.05)
-    solution = solve(laid, how.run)
+    solution = solve(laid, how.planner)
     tell("scheduling", 0.9)
     trajectory = solution.trajectory
     certificate = certify_true(laid, trajectory)
@@ -110,8 +101,10 @@ def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
     named = mission.with_system_ids(curve.sequence)
     geometry = laid.geometry.renamed(named)
     remarks = [*how.notes, *solution.notes]
-    if how.time_limit_s is not None:
-        remarks.append(f"planned within a time limit of {how.time_limit_s:g} s: another machine may plan otherwise")
+    if how.planner.time_limit_s is not None:
+        remarks.append(
+            f"planned within a time limit of {how.planner.time_limit_s:g} s: another machine may plan otherwise"
+        )
     plan = Plan(
         mission=named,
         trajectory=curve,
@@ -130,6 +123,11 @@ def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
     )
     tell("done", 1.0)
     return plan
+
+
+def problem_planner(planner: PlannerLike | None, method: Method, time_limit_s: float | None = None) -> ProblemPlanner:
+    """``planner``, or this process's where there is none, asked for ``method``."""
+    return ProblemPlanner(planner if planner is not None else default_planner(), method, time_limit_s)
 
 
 _shared_planner: PlannerLike | None = None

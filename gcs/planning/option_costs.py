@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from gcs.errors import Finding, PlanningFailed
+from gcs.layout.problem_planner import PlannerLike
 from gcs.mission.model import Mission, MissionLimits, MissionOptions
 from gcs.plan.model import TOGETHER, OptionCost, Plan
-from gcs.planning.mission_planning import PlanningMethod, default_planner, find_plan
-from gcs.planning.solve import PlannerLike
+from gcs.planning.mission_planning import PlanningMethod, find_plan, problem_planner
 from planner import Method
 
 Step = Callable[[int, int], None]
@@ -40,7 +40,7 @@ def with_costs(
     many there are. The document is another one than without costs, and so is its hash.
     """
     mission, given = plan.mission, _in_force(plan.mission)
-    how = PlanningMethod(planner if planner is not None else default_planner(), method)
+    how = PlanningMethod(problem_planner(planner, method))
     # An arrival asked for hides what the others cost: they are held against the flight without it.
     arrival = next((one for one in given if one.option == "arrival_s"), None)
     hurried = mission if arrival is None else arrival.drop(mission)

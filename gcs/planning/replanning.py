@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from gcs.errors import Finding, MissionInfeasible
+from gcs.layout.problem_planner import PlannerLike
 from gcs.mission.document import read_mission, with_options
 from gcs.mission.model import LocalPosition, Mission, Position, StartState
 from gcs.mission.writing import write_mission
@@ -29,8 +30,7 @@ from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
 from gcs.planning.certification import recertify
 from gcs.planning.joining import as_flown, clear_of_joints, moving_on, standing_first
-from gcs.planning.mission_planning import PlanningMethod, Progress, default_planner, find_plan
-from gcs.planning.solve import PlannerLike
+from gcs.planning.mission_planning import PlanningMethod, Progress, find_plan, problem_planner
 from gcs.remedies.explanation import explain
 from planner import Method, Trajectory
 from planner.arrays import Array
@@ -135,9 +135,7 @@ def replan(
         )
     excluded = list(plan.mission.options.excluded_stations if excluded_stations is None else excluded_stations)
     how = PlanningMethod(
-        planner=planner if planner is not None else default_planner(),
-        method=method or "joint",
-        time_limit_s=time_limit_s,
+        problem_planner(planner, method or "joint", time_limit_s),
         created_utc=created_utc,
         notes=notes,
         progress=progress,
@@ -159,7 +157,7 @@ def replan(
     assert first is not None
     if isinstance(first, Finding):
         # Explained once, when every try is over: only the first one's reason is told.
-        raise explain(first, how.run) from first
+        raise explain(first, how.planner) from first
     raise first
 
 

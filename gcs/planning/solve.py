@@ -3,38 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from gcs.errors import PlanningFailed
 from gcs.layout.planning_problem import PlanningProblem, without_endurance
+from gcs.layout.problem_planner import ProblemPlanner
 from gcs.mission.model import Mission
 from gcs.remedies.findings import ArrivalAfterEndurance, ArrivalTooEarly, EnduranceTooShort, NoTrajectory
-from gcs.remedies.trial import Run
-from planner import InfeasibleError, Method, Problem, Solution, SolverError, Trajectory
+from planner import InfeasibleError, Problem, Solution, SolverError, Trajectory
 
 # Plans tried where a flight that starts moving is to arrive later than it could, and how near is near enough.
 SLOWER_TRIES = 5
 SOON_S = 2.0
 
 
-class PlannerLike(Protocol):
-    """What planning needs of a planner: `planner.Planner`."""
-
-    def plan(
-        self,
-        problem: Problem,
-        *,
-        method: Method = "joint",
-        time_limit_s: float | None = None,
-        energy_weight: float = 0.0,
-    ) -> Solution:
-        """A certified solution; raises `planner.InfeasibleError` or `planner.SolverError`."""
-        ...
-
-
-def solve(laid: PlanningProblem, run: Run) -> Solution:
+def solve(laid: PlanningProblem, planner: ProblemPlanner) -> Solution:
     """The solution of a mission's problem, certified by the caller; its ``trajectory`` arrives when asked.
 
     Raises the findings of `gcs.remedies.findings`, and `PlanningFailed`.
@@ -42,7 +26,7 @@ def solve(laid: PlanningProblem, run: Run) -> Solution:
     mission = laid.geometry.mission
     _check_arrival(mission)
     try:
-        solution = _cheapest(laid, run) or run(without_endurance(laid.problem), 0.0)
+        solution = _cheapest(laid, planner) or planner.plan(without_endurance(laid.problem))
     except InfeasibleError as error:
         raise NoTrajectory(laid, error.infeasibility) from error
     except SolverError as error:
@@ -57,7 +41,7 @@ def solve(laid: PlanningProblem, run: Run) -> Solution:
         raise ArrivalTooEarly(mission, arrival_s=arrival, duration_s=duration)
     # Durations add up with roundings, which an endurance of just that time would not bear.
     latest = arrival if allowed is None else min(arrival, allowed * (1.0 - 1e-12))
-    return _arriving(laid, run, solution, max(latest, duration))
+    return _arriving(laid, planner, solution, max(latest, duration))
 
 
 def _check_arrival(mission: Mission) -> None:
@@ -66,7 +50,7 @@ def _check_arrival(mission: Mission) -> None:
         raise ArrivalAfterEndurance(mission, arrival_s=arrival, allowed_s=allowed)
 
 
-def _cheapest(laid: PlanningProblem, run: Run) -> Solution | None:
+def _cheapest(laid: PlanningProblem, planner: ProblemPlanner) -> Solution | None:
     """The plan of least cost that keeps endurance and arrival; None where time is all that counts, or too short."""
     mission = laid.geometry.mission
     weight = mission.options.energy_weight
@@ -75,7 +59,7 @@ def _cheapest(laid: PlanningProblem, run: Run) -> Solution | None:
     given = [t for t in (mission.limits.allowed_s, mission.options.arrival_s) if t is not None]
     limits = replace(laid.problem.limits, max_duration_s=min(given, default=None))
     try:
-        return run(replace(laid.problem, limits=limits), weight)
+        return planner.plan(replace(laid.problem, limits=limits), weight)
     except InfeasibleError as error:
         if error.infeasibility.limit == "max_duration_s":
             return None
@@ -84,7 +68,7 @@ def _cheapest(laid: PlanningProblem, run: Run) -> Solution | None:
         return None
 
 
-def _arriving(laid: PlanningProblem, run: Run, solution: Solution, arrival_s: float) -> Solution:
+def _arriving(laid: PlanningProblem, planner: ProblemPlanner, solution: Solution, arrival_s: float) -> Solution:
     """Slowed to arrive when asked. From rest: the same path, all limits kept with more to spare.
 
     A start that moves fixes the speed, and with it the time scale: such a flight is planned again to save energy, by
@@ -94,7 +78,7 @@ def _arriving(laid: PlanningProblem, run: Run, solution: Solution, arrival_s: fl
     problem = laid.problem
     if not (problem.start_velocity_m_s.any() or problem.start_acceleration_m_s2.any()):
         return replace(solution, trajectory=trajectory.scale_time(arrival_s / trajectory.duration_s))
-    trajectory = _slower(problem, run, trajectory, arrival_s)
+    trajectory = _slower(problem, planner, trajectory, arrival_s)
     left_s = arrival_s - trajectory.duration_s
     if left_s <= 1e-9:
         return replace(solution, trajectory=trajectory)
@@ -107,7 +91,7 @@ def _arriving(laid: PlanningProblem, run: Run, solution: Solution, arrival_s: fl
     return replace(solution, trajectory=waiting, notes=(*solution.notes, note))
 
 
-def _slower(problem: Problem, run: Run, fastest: Trajectory, arrival_s: float) -> Trajectory:
+def _slower(problem: Problem, planner: ProblemPlanner, fastest: Trajectory, arrival_s: float) -> Trajectory:
     """The slowest plan found that is not later than ``arrival_s``: one that saves energy cruises slower.
 
     At v_max (2 w)^(-1/3) for a weight w above 1/2 (`planner.energy`), so the weight follows from the speed wanted.
@@ -119,7 +103,7 @@ def _slower(problem: Problem, run: Run, fastest: Trajectory, arrival_s: float) -
             break
         speed = min(length / max(arrival_s - lost_s - 0.5 * SOON_S, 1e-3), top)
         try:
-            trial = run(without_endurance(problem), 0.5 * (top / speed) ** 3).trajectory
+            trial = planner.plan(without_endurance(problem), 0.5 * (top / speed) ** 3).trajectory
         except (InfeasibleError, SolverError):
             break
         # What is lost at ends and handovers; the rest is the way over the speed.

@@ -15,6 +15,7 @@ from gcs.errors import Finding, MissionInfeasible
 from gcs.layout.findings import NoAirspeed, NoRangeLeft
 from gcs.layout.mission_geometry import MissionGeometry
 from gcs.layout.planning_problem import lay_out
+from gcs.layout.problem_planner import ProblemPlanner
 from gcs.mission.model import Mission
 from gcs.remedies.application import apply
 from gcs.remedies.changes import (
@@ -29,7 +30,7 @@ from gcs.remedies.findings import ArrivalAfterEndurance, ArrivalTooEarly, Endura
 from gcs.remedies.remedy import Remedy, document_of
 from gcs.remedies.search import Search, lower_margin
 from gcs.remedies.translation import location_of, mission_remedies
-from gcs.remedies.trial import Run, can_start, is_linked, planned_s
+from gcs.remedies.trial import can_start, is_linked, planned_s
 from gcs.remedies.wording import words_of
 from planner import Infeasibility
 from planner.infeasibility import diagnose_ranges
@@ -42,22 +43,22 @@ START_PLANS = 40
 WIND_SPARE = 0.005
 
 
-def explain(finding: Finding, run: Run) -> MissionInfeasible:
+def explain(finding: Finding, planner: ProblemPlanner) -> MissionInfeasible:
     """``finding`` as the mission's people are told it, with every remedy that was found to help.
 
-    ``run`` plans the problems of changed missions.
+    ``planner`` plans the problems of changed missions.
     """
     match finding:
         case NoRangeLeft():
-            return _no_range_left(finding, run)
+            return _no_range_left(finding, planner)
         case NoAirspeed():
             return _no_airspeed(finding)
         case NoTrajectory():
-            return _no_trajectory(finding, run)
+            return _no_trajectory(finding, planner)
         case EnduranceTooShort():
-            return _endurance_too_short(finding, run)
+            return _endurance_too_short(finding, planner)
         case ArrivalTooEarly():
-            return _arrival_too_early(finding, run)
+            return _arrival_too_early(finding, planner)
         case ArrivalAfterEndurance():
             return _arrival_after_endurance(finding)
     raise TypeError(f"no explanation of {type(finding).__name__}")
@@ -90,7 +91,7 @@ def _alone(*changes: Change) -> list[Remedy]:
 # --- as the mission is laid out ---------------------------------------------------------------------------------------
 
 
-def _no_range_left(finding: NoRangeLeft, run: Run) -> MissionInfeasible:
+def _no_range_left(finding: NoRangeLeft, planner: ProblemPlanner) -> MissionInfeasible:
     """With the largest margin that leaves a way; where no margin does, with what else has to be changed."""
     mission = finding.mission
     margin = mission.options.range_margin_m
@@ -106,7 +107,7 @@ def _no_range_left(finding: NoRangeLeft, run: Run) -> MissionInfeasible:
     except NoRangeLeft as still:
         return _no_range_refused(still.mission, [])
     except Finding as other:
-        return explain(other, run)
+        return explain(other, planner)
     found = diagnose_ranges(laid.problem)
     more = [] if found is None else mission_remedies(laid, found)
     return _no_range_refused(mission, [(lower_margin(margin, 0.0), *(more[0] if more else ()))])
@@ -146,12 +147,12 @@ def _no_airspeed(finding: NoAirspeed) -> MissionInfeasible:
 # --- as it is planned -------------------------------------------------------------------------------------------------
 
 
-def _no_trajectory(finding: NoTrajectory, run: Run) -> MissionInfeasible:
+def _no_trajectory(finding: NoTrajectory, planner: ProblemPlanner) -> MissionInfeasible:
     laid, found = finding.laid, finding.infeasibility
     geometry = laid.geometry
     moving = geometry.mission.options.start_state is not None
     if found.reason == "limits" and moving and found.remedies and found.limit != "max_handovers":
-        return _no_start(geometry.mission, run, found.message, found.limit)
+        return _no_start(geometry.mission, planner, found.message, found.limit)
     ids = [geometry.mission.stations[int(laid.stations[k])].id for k in found.stations]
     return _refused(
         found.reason,
@@ -188,12 +189,12 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:].rstrip(".") + "."
 
 
-def _no_start(mission: Mission, run: Run, message: str, limit: str | None) -> MissionInfeasible:
+def _no_start(mission: Mission, planner: ProblemPlanner, message: str, limit: str | None) -> MissionInfeasible:
     """The start state cannot be taken up: it breaks ``limit``, or there is no way on from it (None)."""
 
     def possible(changed: Mission) -> bool:
         # What breaks a limit is seen at once, and what does not is soon planned; else a quick look has to do.
-        return can_start(changed) if limit is None else math.isfinite(planned_s(changed, run))
+        return can_start(changed) if limit is None else math.isfinite(planned_s(changed, planner))
 
     search = Search(mission, lambda m: -1.0 if possible(m) else math.inf, math.inf, plans=START_PLANS)
     where = {name: float(value) for name, value in vars(mission.start).items()}
@@ -203,10 +204,10 @@ def _no_start(mission: Mission, run: Run, message: str, limit: str | None) -> Mi
     return _refused("limits", _sentence(message), _alone(*search.start_changes(limit)), where=where)
 
 
-def _endurance_too_short(finding: EnduranceTooShort, run: Run) -> MissionInfeasible:
+def _endurance_too_short(finding: EnduranceTooShort, planner: ProblemPlanner) -> MissionInfeasible:
     mission, duration, allowed_s = finding.mission, finding.duration_s, finding.allowed_s
     reserve, missing = mission.limits.reserve_s or 0.0, duration - allowed_s
-    search = Search(mission, lambda m: planned_s(m, run) - allowed_s, missing)
+    search = Search(mission, lambda m: planned_s(m, planner) - allowed_s, missing)
     changes: list[Change] = [RaiseLimit("endurance_s", missing, duration + reserve + 1e-6)]
     if reserve > missing:
         changes.append(LowerLimit("reserve_s", missing, reserve - missing - 1e-6))
@@ -221,10 +222,10 @@ def _endurance_too_short(finding: EnduranceTooShort, run: Run) -> MissionInfeasi
     )
 
 
-def _arrival_too_early(finding: ArrivalTooEarly, run: Run) -> MissionInfeasible:
+def _arrival_too_early(finding: ArrivalTooEarly, planner: ProblemPlanner) -> MissionInfeasible:
     duration, arrival_s = finding.duration_s, finding.arrival_s
     missing = duration - arrival_s
-    search = Search(finding.mission, lambda m: planned_s(m, run) - arrival_s, missing)
+    search = Search(finding.mission, lambda m: planned_s(m, planner) - arrival_s, missing)
     return _refused(
         "arrival",
         f"The fastest plan takes {duration:.1f} s, but arrival is asked for at {arrival_s:g} s, "

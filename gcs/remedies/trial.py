@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TypeAlias
 
 from gcs.errors import Finding
 from gcs.layout.planning_problem import lay_out, without_endurance
+from gcs.layout.problem_planner import ProblemPlanner
 from gcs.mission.model import Mission
-from planner import InfeasibleError, Problem, Solution, SolverError
+from planner import InfeasibleError, SolverError
 from planner.infeasibility import diagnose, infeasibility_of
 from planner.joint import Effort, plan_joint
 from planner.routing import candidate_routes, lower_bound
-
-Run: TypeAlias = Callable[[Problem, float], Solution]
-"""A planner at work on a problem, with the weight of energy; raises as `planner.Planner.plan` does."""
 
 # A start state that can be taken up takes the solver twenty or thirty steps.
 START_EFFORT = Effort(1, 4, max_iterations=60)
@@ -29,13 +25,13 @@ def is_linked(mission: Mission) -> bool:
         return False
 
 
-def planned_s(mission: Mission, run: Run) -> float:
+def planned_s(mission: Mission, planner: ProblemPlanner) -> float:
     """How long the fastest plan of a mission takes, whatever its endurance; infinite when it has none.
 
     Raises `Finding` for a mission that makes no problem.
     """
     try:
-        return run(without_endurance(lay_out(mission).problem), 0.0).trajectory.duration_s
+        return planner.plan(without_endurance(lay_out(mission).problem)).trajectory.duration_s
     except (InfeasibleError, SolverError):
         return math.inf
 

@@ -9,6 +9,7 @@ import pytest
 
 from gcs.errors import Finding, MissionInfeasible, PlanningFailed
 from gcs.layout.findings import NoAirspeed, NoRangeLeft
+from gcs.layout.problem_planner import ProblemPlanner
 from gcs.mission import read_mission, with_options
 from gcs.planning import mission_planning, plan_mission, recertify
 from gcs.planning.mission_planning import PlanningMethod, find_plan
@@ -45,14 +46,14 @@ FOUND: list[tuple[dict[str, Any], type[Finding], int]] = [
 def test_a_finding_costs_no_search(document: dict[str, Any], kind: type[Finding], plans: int) -> None:
     planner = CountingPlanner()
     with pytest.raises(kind):
-        find_plan(read_mission(document), PlanningMethod(planner, "fast"))
+        find_plan(read_mission(document), PlanningMethod(ProblemPlanner(planner, "fast")))
     assert planner.asked == plans
 
 
 def test_it_is_explained_once(monkeypatch: pytest.MonkeyPatch) -> None:
     explained: list[Finding] = []
 
-    def explain(finding: Finding, run: object) -> MissionInfeasible:
+    def explain(finding: Finding, planner: object) -> MissionInfeasible:
         explained.append(finding)
         return MissionInfeasible("limits", "As found.")
 
