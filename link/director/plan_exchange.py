@@ -1,9 +1,9 @@
 """Another plan for a flight in the air: made ready beside the flight, then taken over between two ticks.
 
 A plan may be exchanged for another only where both ask for the same position, velocity and acceleration, and by the
-station in control (`gcs.planning.replan` makes such plans). So nothing of a join is left to do: the reference goes on
-at the same place, at the same rate, on another curve. A plan that came too late, or is for another moment, does not fit
-and is refused; the flight goes on as it was.
+station in control (`gcs.planning.replanning` makes such plans). So nothing of a join is left to do: the reference goes
+on at the same place, at the same rate, on another curve. A plan that came too late, or is for another moment, does not
+fit and is refused; the flight goes on as it was.
 """
 
 from __future__ import annotations

@@ -163,10 +163,10 @@ class RunningFlight:
     def replan(
         self, document: Mapping[str, Any], *, join_s: float | None = None, leave_s: float | None = None, **fields: Any
     ) -> None:
-        """The command `replan`: fly another plan from here on (`gcs.planning.replan.Replanned`).
+        """The operator command `replan`: fly another plan from here on (`gcs.planning.replanning.Replanned`).
 
-        ``join_s`` and ``leave_s`` are for a flight that stands.
-        The plan's document stays in the run folder. Raises as `command` does, and ``OSError``.
+        ``join_s`` and ``leave_s`` are for a flight that stands. The plan's document stays in the run folder. Raises as
+        `command` does, and ``OSError``.
         """
         name = str(document["plan_sha256"])
         partial = self.run_dir / f"plan-{name}.json.partial"

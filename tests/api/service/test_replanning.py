@@ -15,7 +15,7 @@ from api.service.flights import FlightService
 from api.service.replanning import Replanning
 from gcs.errors import MissionInfeasible, NotFoundError
 from gcs.plan.model import Plan
-from gcs.planning.replan import replan
+from gcs.planning.replanning import replan
 from link.director.plan_exchange import judge_next
 from link.preflight.check import Level
 from link.session.request import FlightRequest

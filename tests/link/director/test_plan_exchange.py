@@ -13,7 +13,7 @@ from gcs.flight import FlightState, TransitionError
 from gcs.mission import read_mission
 from gcs.mission.model import LocalPosition
 from gcs.plan.model import Plan
-from gcs.planning.replan import Replanned, replan
+from gcs.planning.replanning import Replanned, replan
 from link.setpoints.setpoint import Setpoint
 from tests.support.flight_plans import FIRST_JOIN_S, relay_plan, wide_plan
 from tests.support.virtual_flight import Proxy, VirtualFlight

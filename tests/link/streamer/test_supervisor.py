@@ -10,7 +10,7 @@ import pytest
 
 from gcs.flight import FlightEvent, FlightState, TransitionError
 from gcs.mission.model import LocalPosition
-from gcs.planning.replan import replan
+from gcs.planning.replanning import replan
 from link.errors import FlightRequestError, SupervisorError
 from link.session.request import FlightRequest
 from link.streamer.supervisor import attach, start_flight
