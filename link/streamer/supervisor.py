@@ -151,12 +151,12 @@ class RunningFlight:
 
     # -- speaking -----------------------------------------------------------------------------------------------------
 
-    def command(self, word: str, **fields: Any) -> None:
-        """Give the flight an operator command (`gcs.flight`); fields as in `link.director.core.FlightCore.command`.
+    def command(self, command: str, **fields: Any) -> None:
+        """Give the flight an operator command; fields as in `link.director.core.FlightCore.command`.
 
         Raises `TransitionError` when the flight refuses it, `SupervisorError` when it cannot be reached.
         """
-        reply = self._ask({"word": str(word), **fields})
+        reply = self._ask({"word": str(command), **fields})
         if "error" in reply:
             raise TransitionError(str(reply["error"]))
 

@@ -326,7 +326,7 @@ def judge(row: Row, autopilot: str, flight: VirtualFlight) -> list[str]:
         problems.append(f"ended {flight.core.state.value}, not {' or '.join(wanted.ends)}")
     if wanted.alarm and not flight.said("alarm", what=wanted.alarm):
         problems.append(f"no alarm {wanted.alarm!r}")
-    ids = {flight.core.context.system_ids[s]: s for s in flight.stations}
+    ids = {flight.core.context.control.system_ids[s]: s for s in flight.stations}
     for one in flight.accepted:
         own = ids.get(one.system_id)
         if own is None:

@@ -99,7 +99,7 @@ def bad_links(vehicle: Simulator, *arguments: str) -> Iterator[dict[str, subproc
 ATTENDANT = """
 import json, sys, time
 from pathlib import Path
-from link.director.core import FlightRequest
+from link.session.request import FlightRequest
 from link.streamer.supervisor import start_flight
 flight = start_flight(FlightRequest.from_document(json.load(open(sys.argv[1]))), run_dir=Path(sys.argv[2]))
 print(flight.pid, flush=True)

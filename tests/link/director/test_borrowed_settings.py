@@ -201,7 +201,7 @@ def square(half_deg: float, command: int = 5001) -> tuple[Item, ...]:
 
 @BOTH
 def test_a_fence_on_request_holds_path_home_and_rally_points_and_goes_again(autopilot: str) -> None:
-    one = on_ground(autopilot, request={"fence": True}, proxy=Proxy(seed=2, **BAD))
+    one = on_ground(autopilot, request={"lay_geofence": True}, proxy=Proxy(seed=2, **BAD))
     assert one.core.state is FlightState.READY
     corners = held(one, FENCE)
     assert len(corners) == 16

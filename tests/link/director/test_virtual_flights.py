@@ -35,7 +35,7 @@ def test_a_flight_over_three_stations(autopilot: str) -> None:
     assert one.run(limit_s=400.0) is FlightState.COMPLETED
     one_station_at_a_time(one)
     # The exported schedule is the one flown: each handover at the first sample at or after its time.
-    launched = one.core.context.launched_s
+    launched = one.core.context.timeline.launched_s
     assert launched is not None
     for event, planned in zip(one.said("handover", state="requested"), one.plan.handovers, strict=True):
         assert 0.0 <= event.time_s - launched - planned.time_s < 0.05 + 1e-6

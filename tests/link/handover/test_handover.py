@@ -13,10 +13,11 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from gcs.flight import HandoverState, TransitionError
 from link.dialect import mavlink
 from link.errors import GateClosed
+from link.transport.gate import ControlGrant, Sender
 from tests.support.handover_bench import FIRST, STATIONS, Bench
 
 
-def test_the_borders_of_a_plan_forwards_and_backwards() -> None:
+def test_the_handover_windows_of_a_plan_forwards_and_backwards() -> None:
     assert (FIRST.from_station, FIRST.to_station) == ("s1", "s2")
     assert FIRST.open_s < FIRST.time_s < FIRST.limit_s
     back = FIRST.mirrored()
@@ -38,12 +39,12 @@ def test_control_moves_between_two_setpoints_and_is_released_on_evidence() -> No
     assert bench.said(state="ready")
     bench.tick(FIRST.time_s + 0.02)
     assert bench.senders == ["s2"]
-    assert bench.relay.moving
-    assert bench.c.gate.incoming == "s1"
+    assert bench.chain.moving
+    assert bench.c.control.gate.incoming == "s1"
     bench.tick()
     assert [e.data["state"] for e in bench.said(index=1)] == ["ready", "requested", "confirmed", "released"]
-    assert bench.relay.leg == 1
-    assert bench.c.gate.incoming is None
+    assert bench.chain.leg == 1
+    assert bench.c.control.gate.incoming is None
 
 
 def test_without_evidence_the_old_station_goes_on_and_it_is_tried_again() -> None:
@@ -53,7 +54,7 @@ def test_without_evidence_the_old_station_goes_on_and_it_is_tried_again() -> Non
     for _ in range(60):
         bench.tick(FIRST.time_s + 0.02)
         senders += bench.senders
-    assert bench.relay.leg == 0
+    assert bench.chain.leg == 0
     assert [e.data["state"] for e in bench.said(event="timeout")][:1] == ["timed_out"]
     # 0.6 s a try (0.6 of the autopilot's second), then at least half a second with the old station.
     first = senders.index("s1", 1)
@@ -63,25 +64,25 @@ def test_without_evidence_the_old_station_goes_on_and_it_is_tried_again() -> Non
     bench.obeys.add("s2")
     for _ in range(40):
         bench.tick()
-    assert bench.relay.leg == 1
+    assert bench.chain.leg == 1
 
 
 def test_a_station_that_is_proved_and_never_obeyed_does_not_let_the_flight_out_of_its_coverage() -> None:
     bench = Bench()
     bench.obeys.discard("s2")
     bench.tick(FIRST.time_s - 1.0)
-    assert bench.relay.limits(backwards=False) == (-math.inf, math.inf)  # ready, not tried yet
+    assert bench.chain.limits(backwards=False) == (-math.inf, math.inf)  # ready, not tried yet
     highs = set()
     for _ in range(200):
         bench.tick(FIRST.time_s + 0.02)
         if bench.said(event="timeout"):
-            highs.add(bench.relay.limits(backwards=False)[1])
+            highs.add(bench.chain.limits(backwards=False)[1])
     assert len(bench.said(event="request")) >= 4
     assert list(highs) == [pytest.approx(FIRST.limit_s - 0.5)]
     bench.obeys.add("s2")
     for _ in range(40):
         bench.tick()
-    assert bench.relay.leg == 1
+    assert bench.chain.leg == 1
 
 
 def test_a_station_that_is_not_proved_is_late_and_stops_the_flight_before_the_end_of_coverage() -> None:
@@ -89,7 +90,7 @@ def test_a_station_that_is_not_proved_is_late_and_stops_the_flight_before_the_en
     bench.up["s2"] = False
     for _ in range(50):
         bench.tick(0.0)
-    low, high = bench.relay.limits(backwards=False)
+    low, high = bench.chain.limits(backwards=False)
     assert (low, high) == (-math.inf, pytest.approx(FIRST.limit_s - 0.5))
     bench.tick(FIRST.time_s + 0.1)
     assert bench.said(state="late")[0].data["reason"] == "s2 lacks telemetry over its link"
@@ -97,7 +98,7 @@ def test_a_station_that_is_not_proved_is_late_and_stops_the_flight_before_the_en
     bench.up["s2"] = True
     bench.tick()
     bench.tick()
-    assert bench.relay.leg == 1
+    assert bench.chain.leg == 1
 
 
 @pytest.mark.parametrize("what", ["operator", "origin", "plan"])
@@ -106,8 +107,8 @@ def test_readiness_needs_the_operator_the_same_origin_and_the_same_plan(what: st
     if what == "origin":
         from link.autopilot.local_frame import EkfOrigin
 
-        bench.c.origin, bench.c.origin_s = EkfOrigin(52.95, 4.79, 30.0), 0.0
-        link = bench.c.monitor.links["s2"]
+        bench.c.vehicle.origin, bench.c.vehicle.origin_s = EkfOrigin(52.95, 4.79, 30.0), 0.0
+        link = bench.c.vehicle.monitor.links["s2"]
         link.origin, link.origin_s = EkfOrigin(52.95, 4.79, 31.0), 1.0
     if what == "plan":
         with pytest.raises(TransitionError, match="another plan"):
@@ -116,7 +117,7 @@ def test_readiness_needs_the_operator_the_same_origin_and_the_same_plan(what: st
     bench.tick(FIRST.time_s + 0.1)
     bench.tick()
     if what == "plan":
-        assert bench.relay.leg == 1
+        assert bench.chain.leg == 1
         return
     lacks = {"operator": "operator's word", "origin": "the same EKF origin"}[what]
     assert bench.said(state="late")[0].data["reason"] == f"s2 lacks {lacks}"
@@ -124,7 +125,7 @@ def test_readiness_needs_the_operator_the_same_origin_and_the_same_plan(what: st
         bench.core.command("ready", handover=1, by="operator of s2")
         bench.tick()
         bench.tick()
-        assert bench.relay.leg == 1
+        assert bench.chain.leg == 1
 
 
 def test_a_refusal_holds_until_taken_back_and_cannot_undo_what_is_done() -> None:
@@ -132,13 +133,13 @@ def test_a_refusal_holds_until_taken_back_and_cannot_undo_what_is_done() -> None
     bench.core.command("refuse", handover=1, reason="jammed")
     for _ in range(5):
         bench.tick(FIRST.time_s + 0.1)
-    assert bench.relay.leg == 0
-    assert bench.relay.handover is not None
-    assert bench.relay.handover.state is HandoverState.REFUSED
+    assert bench.chain.leg == 0
+    assert bench.chain.handover is not None
+    assert bench.chain.handover.state is HandoverState.REFUSED
     bench.core.command("accept", handover=1)
     for _ in range(3):
         bench.tick()
-    assert bench.relay.leg == 1
+    assert bench.chain.leg == 1
     with pytest.raises(TransitionError, match="handover 1 is done"):
         bench.core.command("refuse", handover=1)
     with pytest.raises(TransitionError, match="there is no handover 7; the plan has 2"):
@@ -149,13 +150,13 @@ def test_a_dead_links_neighbour_takes_over_where_it_covers_and_nowhere_else() ->
     bench = Bench()
     bench.up["s1"] = False
     bench.tick(FIRST.open_s - 0.5)
-    assert not bench.relay.take_over(bench.plan_s, "test")
+    assert not bench.chain.take_over(bench.plan_s, "test")
     bench.tick(FIRST.open_s + 0.5)
-    assert bench.relay.take_over(bench.plan_s, "test")
-    assert bench.c.gate.holder == "s2"
+    assert bench.chain.take_over(bench.plan_s, "test")
+    assert bench.c.control.gate.holder == "s2"
     bench.deliver()
     bench.tick()
-    assert bench.relay.leg == 1
+    assert bench.chain.leg == 1
     assert bench.said(event="request")[0].data["reason"] == "test"
 
 
@@ -163,18 +164,18 @@ def test_a_station_whose_link_failed_must_be_proved_anew_before_it_gets_control_
     bench = Bench()
     for time_s in (FIRST.time_s + 0.02, FIRST.time_s + 0.07):
         bench.tick(time_s)
-    assert bench.relay.leg == 1
+    assert bench.chain.leg == 1
     bench.up["s2"] = False
-    assert bench.relay.take_over(bench.plan_s, "link lost")  # back to s1, which still covers
+    assert bench.chain.take_over(bench.plan_s, "link lost")  # back to s1, which still covers
     bench.deliver()
     for _ in range(4):
         bench.tick()
     # The proof of s2 from before is still young, but it is from before.
-    assert (bench.relay.leg, bench.c.gate.holder) == (0, "s1")
+    assert (bench.chain.leg, bench.c.control.gate.holder) == (0, "s1")
     bench.up["s2"] = True
     for _ in range(4):
         bench.tick()
-    assert (bench.relay.leg, bench.c.gate.holder) == (1, "s2")
+    assert (bench.chain.leg, bench.c.control.gate.holder) == (1, "s2")
 
 
 @pytest.mark.parametrize(
@@ -186,7 +187,7 @@ def test_any_answer_to_the_new_station_is_evidence_but_not_in_control(result: in
     bench.obeys.clear()
     bench.tick(FIRST.time_s + 0.02)
     ack = mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_REQUEST_MESSAGE, result, 0, 0, 242, 190)
-    bench.c.commander.on_ack(bench.c.now_s, ack)
+    bench.c.control.commander.on_ack(bench.c.timeline.now_s, ack)
     bench.tick()
     assert bench.said(index=1)[-1].data["state"] == ends
 
@@ -195,11 +196,11 @@ def test_an_ack_for_the_old_station_is_no_evidence_for_the_new_one() -> None:
     bench = Bench()
     bench.obeys.clear()
     bench.tick(FIRST.time_s + 0.02)
-    old = bench.c.system_ids["s1"]
+    old = bench.c.control.system_ids["s1"]
     ack = mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 0, 0, old, 190)
-    bench.c.commander.on_ack(bench.c.now_s, ack)
+    bench.c.control.commander.on_ack(bench.c.timeline.now_s, ack)
     bench.tick()
-    assert bench.relay.moving
+    assert bench.chain.moving
 
 
 class RelayMachine(RuleBasedStateMachine):
@@ -215,15 +216,13 @@ class RelayMachine(RuleBasedStateMachine):
     @rule(down=st.sets(st.sampled_from(STATIONS), max_size=1))
     def links(self, down: set[str]) -> None:
         self.bench.up = {station: station not in down for station in STATIONS}
-        self.note()
 
     @rule(deaf_to=st.sets(st.sampled_from(STATIONS), max_size=1))
     def vehicle(self, deaf_to: set[str]) -> None:
         self.bench.obeys = set(STATIONS) - deaf_to
-        self.note()
 
     def note(self) -> None:
-        """Whom the vehicle can have answered: an answer of the last tick counts in the next."""
+        """Whom the vehicle can have answered: an answer of the last tick counts in the next. Once a tick."""
         now = {station for station in self.bench.obeys if self.bench.up[station]}
         self.may_obey = now | getattr(self, "now", now)
         self.now = now
@@ -232,7 +231,7 @@ class RelayMachine(RuleBasedStateMachine):
     def fly(self, ticks: int, step_s: float) -> None:
         """Keeps the limits, as the reference does."""
         for _ in range(ticks):
-            low, high = self.bench.relay.limits(backwards=self.backwards)
+            low, high = self.bench.chain.limits(backwards=self.backwards)
             wanted = self.bench.plan_s + (-step_s if self.backwards else step_s)
             self.tick(min(max(wanted, min(low, self.bench.plan_s), 0.0), max(high, self.bench.plan_s), 63.0))
 
@@ -242,7 +241,7 @@ class RelayMachine(RuleBasedStateMachine):
 
     @rule()
     def take_over(self) -> None:
-        self.bench.relay.take_over(self.bench.plan_s, "drawn")
+        self.bench.chain.take_over(self.bench.plan_s, "drawn")
 
     @rule(index=st.integers(1, 2), yes=st.booleans())
     def word(self, index: int, yes: bool) -> None:
@@ -252,26 +251,26 @@ class RelayMachine(RuleBasedStateMachine):
     def tick(self, to_s: float) -> None:
         bench = self.bench
         self.note()
-        told = len(bench.c.events)
+        told = len(bench.c.timeline.events)
         bench.tick(to_s, backwards=self.backwards)
         # One setpoint, from the one station in control.
-        assert bench.senders == [bench.c.gate.holder]
-        # Nobody else gets a word in, whatever fence it still holds.
+        assert bench.senders == [bench.c.control.gate.holder]
+        # Nobody else gets a word in, whatever grant it still holds.
         for station in STATIONS:
-            stale = type(bench.c.fence)(bench.c.fence.number - 1, station)
+            stale = ControlGrant(bench.c.control.in_force.number - 1, Sender(station))
             with pytest.raises(GateClosed):
-                bench.c.gate.send(stale, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
-        for event in bench.c.events[told:]:
+                bench.c.control.gate.send(stale, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+        for event in bench.c.timeline.events[told:]:
             if event.data.get("event") == "evidence":
                 assert event.data["to"] in self.may_obey, "a station was confirmed that the vehicle did not obey"
 
     @invariant()
     def the_holder_is_the_legs_station_or_the_one_it_is_moving_to(self) -> None:
-        relay, gate = self.bench.relay, self.bench.c.gate
-        own = self.bench.c.plan.station_ids[relay.leg]
-        if relay.moving and relay.handover is not None:
-            assert gate.holder in (own, relay.handover.border.to_station)
-            assert {gate.holder, gate.incoming} == {own, relay.handover.border.to_station}
+        chain, gate = self.bench.chain, self.bench.c.control.gate
+        own = self.bench.c.plan.station_ids[chain.leg]
+        if chain.moving and chain.handover is not None:
+            assert gate.holder in (own, chain.handover.window.to_station)
+            assert {gate.holder, gate.incoming} == {own, chain.handover.window.to_station}
         else:
             assert gate.holder == own
             assert gate.incoming is None

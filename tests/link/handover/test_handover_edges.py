@@ -11,29 +11,31 @@ import pytest
 from gcs.flight import HandoverState, TransitionError
 from link.autopilot.local_frame import EkfOrigin
 from link.dialect import mavlink
-from link.handover.handover import Border, Handover
+from link.handover.handover import Handover, HandoverWindow
 from link.telemetry.setpoint_echo import Sent
 from tests.support.handover_bench import FIRST, Bench
 
-AT_BORDER_S = FIRST.time_s
+PLANNED_S = FIRST.time_s
 OLD, NEW = 241, 242
 
 
 class One:
     """One handover driven by hand: its clock, its links, what it sends."""
 
-    def __init__(self, way: str = "gate", border: Border = FIRST, attempt_s: float = 0.5, **changes: Any) -> None:
+    def __init__(
+        self, way: str = "gate", window: HandoverWindow = FIRST, attempt_s: float = 0.5, **changes: Any
+    ) -> None:
         self.bench = Bench(**changes)
         self.c = self.bench.c
-        self.c.now_s = 64.0
+        self.c.timeline.now_s = 64.0
         self.bench.hear()
-        self.handover = Handover(self.c, border, way, attempt_s)
-        self.link = self.c.monitor.links["s2"]
+        self.handover = Handover(self.c, window, way, attempt_s)
+        self.link = self.c.vehicle.monitor.links["s2"]
         # A station of several ways is judged by the one that sends.
         self.way: Any = getattr(self.link, "active", self.link)
 
-    def step(self, time_s: float = AT_BORDER_S, after_s: float = 0.0, **options: Any) -> HandoverState:
-        self.c.now_s += after_s
+    def step(self, time_s: float = PLANNED_S, after_s: float = 0.0, **options: Any) -> HandoverState:
+        self.c.timeline.now_s += after_s
         self.handover.step(time_s, **options)
         return self.handover.state
 
@@ -42,27 +44,27 @@ class One:
 
     def commands(self) -> list[tuple[str, Any]]:
         """(station, message) of the commands sent since the last look."""
-        frames = self.c.gate.take_outgoing()
-        found = [(station, m) for station, frame in frames for m in self.bench.decoder.decode(frame)]
+        frames = self.c.control.gate.take_outgoing()
+        found = [(sender.station_id, m) for sender, frame in frames for m in self.bench.decoder.decode(frame)]
         return [(station, m) for station, m in found if m.get_type() == "COMMAND_LONG"]
 
     def answer(self, result: int, command: int, station_id: int) -> None:
         ack = mavlink.MAVLink_command_ack_message(command, result, 0, 0, station_id, 190)
-        self.c.commander.on_ack(self.c.now_s, ack)
+        self.c.control.commander.on_ack(self.c.timeline.now_s, ack)
 
     def told(self) -> list[tuple[str, str, str]]:
         return [(e.data["before"], e.data["event"], e.data["state"]) for e in self.bench.said()]
 
 
-def border(time_s: float = 10.0, open_s: float = 5.0, limit_s: float = 20.0, forward: bool = True) -> Border:
-    return Border(1, 0, 1, "s1", "s2", time_s, open_s, limit_s, forward)
+def window(time_s: float = 10.0, open_s: float = 5.0, limit_s: float = 20.0, forward: bool = True) -> HandoverWindow:
+    return HandoverWindow(1, 0, 1, "s1", "s2", time_s, open_s, limit_s, forward)
 
 
-# -- the border -------------------------------------------------------------------------------------------------------
+# -- the window -------------------------------------------------------------------------------------------------------
 
 
-def test_a_border_is_due_a_microsecond_early_and_covered_from_its_very_edge() -> None:
-    ahead, back = border(1.0), border(1.0, forward=False)
+def test_a_handover_window_is_due_a_microsecond_early_and_covered_from_its_very_edge() -> None:
+    ahead, back = window(1.0), window(1.0, forward=False)
     assert ahead.due(1.0 - 1e-6)
     assert not ahead.due(1.0 - 2e-6)
     assert back.due(1.0 + 1e-6)
@@ -74,19 +76,19 @@ def test_a_border_is_due_a_microsecond_early_and_covered_from_its_very_edge() ->
 
 
 def test_the_next_station_is_watched_from_a_minute_before_its_coverage() -> None:
-    ahead, back = border(200.0, 100.0), border(200.0, 300.0, forward=False)
+    ahead, back = window(200.0, 100.0), window(200.0, 300.0, forward=False)
     assert ahead.near(40.0)
     assert not ahead.near(39.99)
     assert back.near(360.0)
     assert not back.near(360.01)
 
 
-def test_far_from_the_border_nothing_is_told_unless_it_must_be_at_once() -> None:
-    one = One(border=border(200.0, 100.0))
+def test_far_from_the_window_nothing_is_told_unless_it_must_be_at_once() -> None:
+    one = One(window=window(200.0, 100.0))
     assert one.step(39.9) is HandoverState.PLANNED
     assert one.told() == []
     assert one.step(40.0) is HandoverState.READY
-    hurried = One(border=border(200.0, 100.0))
+    hurried = One(window=window(200.0, 100.0))
     # Told to hurry it looks at once, but asks for control only where the next station covers the vehicle.
     assert hurried.step(39.9, at_once="link lost") is HandoverState.READY
     assert hurried.step(99.9, at_once="link lost") is HandoverState.READY
@@ -95,7 +97,7 @@ def test_far_from_the_border_nothing_is_told_unless_it_must_be_at_once() -> None
 
 
 def test_due_but_not_covered_is_not_asked_for() -> None:
-    one = One(border=border(10.0, 15.0))
+    one = One(window=window(10.0, 15.0))
     assert one.step(12.0) is HandoverState.READY
     assert one.step(14.99) is HandoverState.READY
     assert one.step(15.0) is HandoverState.REQUESTED
@@ -139,7 +141,7 @@ def test_a_link_that_failed_must_be_proved_by_a_frame_sent_after_that() -> None:
 def test_the_next_station_must_know_the_same_origin_to_a_hand(axis: int, off_m: float, missing: str) -> None:
     one = One()
     lat, lon, alt = 52.95, 4.79, 30.0
-    one.c.origin, one.c.origin_s = EkfOrigin(lat, lon, alt), 50.0
+    one.c.vehicle.origin, one.c.vehicle.origin_s = EkfOrigin(lat, lon, alt), 50.0
     per_m = (180.0 / math.pi / 6_371_000.0, 180.0 / math.pi / 6_371_000.0 / math.cos(math.radians(lat)), 1.0)
     moved = [lat, lon, alt]
     moved[axis] += off_m * per_m[axis]
@@ -152,7 +154,7 @@ def test_an_origin_told_before_ours_or_to_nobody_is_no_disagreement() -> None:
     far = EkfOrigin(52.95, 4.79, 90.0)
     one.link.origin, one.link.origin_s = far, 50.0
     assert one.handover.missing() == ""  # we know none
-    one.c.origin, one.c.origin_s = EkfOrigin(52.95, 4.79, 30.0), 50.0
+    one.c.vehicle.origin, one.c.vehicle.origin_s = EkfOrigin(52.95, 4.79, 30.0), 50.0
     assert one.handover.missing() == ""  # told at the same moment: not newer
     one.link.origin_s = 50.1
     assert one.handover.missing() == "the same EKF origin"
@@ -163,21 +165,21 @@ def test_an_origin_told_before_ours_or_to_nobody_is_no_disagreement() -> None:
 def test_a_station_that_is_not_ready_when_due_is_late_once_and_ready_when_proved() -> None:
     one = One()
     one.way.heard_s = -math.inf
-    assert one.step(AT_BORDER_S - 1.0) is HandoverState.PLANNED
+    assert one.step(PLANNED_S - 1.0) is HandoverState.PLANNED
     assert one.step() is HandoverState.LATE
     assert one.step() is HandoverState.LATE
     assert one.handover.reason == "s2 lacks telemetry over its link"
     one.prove()
-    assert one.step(AT_BORDER_S) is HandoverState.REQUESTED
+    assert one.step(PLANNED_S) is HandoverState.REQUESTED
     assert [event for _, event, _ in one.told()] == ["due", "proved", "request"]
 
 
 def test_a_station_that_was_ready_and_fails_is_told_with_what_it_lacks() -> None:
     one = One()
-    assert one.step(AT_BORDER_S - 1.0) is HandoverState.READY
+    assert one.step(PLANNED_S - 1.0) is HandoverState.READY
     assert one.handover.open
     one.way.proven_s = 62.9
-    assert one.step(AT_BORDER_S - 0.9) is HandoverState.PLANNED
+    assert one.step(PLANNED_S - 0.9) is HandoverState.PLANNED
     assert one.handover.reason == "s2 lacks an answer over its link"
     assert not one.handover.open
 
@@ -210,7 +212,7 @@ def test_a_no_that_comes_too_late_changes_nothing_now_and_counts_for_the_next_tr
         one.handover.refuse("too late")
     assert one.handover.state is HandoverState.REQUESTED
     assert one.step(after_s=0.5) is HandoverState.TIMED_OUT
-    one.c.now_s += 0.1
+    one.c.timeline.now_s += 0.1
     one.prove()
     assert one.handover.missing() == missing
 
@@ -222,12 +224,12 @@ def test_control_moves_at_once_and_the_new_station_asks_for_an_answer_every_fift
     one = One(attempt_s=20.0)
     assert one.step() is HandoverState.REQUESTED
     assert one.handover.attempts == 1
-    assert (one.c.gate.holder, one.c.gate.incoming) == ("s2", "s1")
+    assert (one.c.control.gate.holder, one.c.control.gate.incoming) == ("s2", "s1")
     ((station, message),) = one.commands()
     assert (station, message.command, message.param1) == ("s2", 512, 148.0)
     asked = [0.0]
     for k in range(1, 700):
-        one.c.commander.step(64.0 + 0.01 * k)
+        one.c.control.commander.step(64.0 + 0.01 * k)
         asked += [0.01 * k] * len(one.commands())
     assert len(asked) == 30
     assert np.diff(asked) == pytest.approx(0.2, abs=0.011)
@@ -236,30 +238,30 @@ def test_control_moves_at_once_and_the_new_station_asks_for_an_answer_every_fift
 def test_the_way_stays_open_for_half_an_attempt() -> None:
     one = One(attempt_s=2.0)
     one.step()
-    one.c.now_s = 65.0
+    one.c.timeline.now_s = 65.0
     assert one.handover.open
-    one.c.now_s = 65.0 + 1e-9
+    one.c.timeline.now_s = 65.0 + 1e-9
     assert not one.handover.open
 
 
 def test_no_evidence_ends_the_attempt_to_the_moment_and_the_next_is_half_a_second_later() -> None:
     one = One()
     assert one.step() is HandoverState.REQUESTED
-    before = one.c.fence.number
-    one.c.now_s = 64.5 - 1e-6
+    before = one.c.control.in_force.number
+    one.c.timeline.now_s = 64.5 - 1e-6
     assert one.step() is HandoverState.REQUESTED
-    one.c.now_s = 64.5
+    one.c.timeline.now_s = 64.5
     assert one.step() is HandoverState.TIMED_OUT
     assert one.handover.reason == "no evidence from the vehicle"
-    assert (one.c.gate.holder, one.c.gate.incoming) == ("s1", None)
-    assert one.c.fence.number == before + 1
-    grants = [e.data["reason"] for e in one.c.events if e.kind.value == "gate"]
+    assert (one.c.control.gate.holder, one.c.control.gate.incoming) == ("s1", None)
+    assert one.c.control.in_force.number == before + 1
+    grants = [e.data["reason"] for e in one.c.timeline.events if e.kind.value == "gate"]
     assert grants[-2:] == ["handover 1", "handover 1 not confirmed"]
     one.commands()
-    one.c.commander.step(67.0)
+    one.c.control.commander.step(67.0)
     assert one.commands() == []  # nobody goes on asking
     for now_s, state in ((64.99, HandoverState.TIMED_OUT), (65.0, HandoverState.REQUESTED)):
-        one.c.now_s = now_s
+        one.c.timeline.now_s = now_s
         one.prove()
         assert one.step() is state
     assert one.handover.attempts == 2
@@ -270,7 +272,7 @@ def test_after_a_failure_only_a_proof_from_afterwards_counts() -> None:
     one = One()
     one.step()
     one.step(after_s=0.5)
-    one.c.now_s = 65.25
+    one.c.timeline.now_s = 65.25
     one.way.heard_s, one.way.proven_s = 65.25, 64.5
     assert one.step() is HandoverState.TIMED_OUT
     one.way.proven_s = 64.51
@@ -286,7 +288,7 @@ def test_confirmed_and_released_in_one_step_and_then_nothing_more() -> None:
     evidence, release = one.bench.said()[-2:]
     assert evidence.data["reason"] == "a command of it was answered"
     assert release.data["reason"] == "s1 is silent"
-    assert one.c.gate.incoming is None
+    assert one.c.control.gate.incoming is None
     assert one.handover.done
     assert one.handover.open
     assert one.step(after_s=5.0) is HandoverState.RELEASED
@@ -317,7 +319,7 @@ def test_not_in_control_is_a_no() -> None:
     one.answer(10, 512, NEW)
     assert one.step(after_s=0.05) is HandoverState.FAILED
     assert one.handover.reason.startswith("the vehicle answered ")
-    assert one.c.gate.holder == "s1"
+    assert one.c.control.gate.holder == "s1"
 
 
 # -- evidence from what the vehicle repeats ---------------------------------------------------------------------------
@@ -333,38 +335,40 @@ class Target:
         self.x, self.y, self.z = north_m, 0.0, 0.0
 
 
-def sent(one: One, fence: int, north_m: float) -> None:
-    one.c.echoes.note(Sent(one.c.now_s, "?", fence, (north_m, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+def sent(one: One, grant: int, north_m: float) -> None:
+    one.c.control.echoes.note(
+        Sent(one.c.timeline.now_s, "?", grant, (north_m, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    )
 
 
 def test_a_repeated_setpoint_is_evidence_when_only_the_new_station_can_have_sent_it() -> None:
     one = One()
     one.step()
-    old, new = one.c.fence.number - 1, one.c.fence.number
+    old, new = one.c.control.in_force.number - 1, one.c.control.in_force.number
     sent(one, old, 0.0)
     sent(one, new, 10.0)
     # Nobody's, the old station's, or one that either may have sent: no evidence.
     for place_m in (5.0, 0.0):
-        one.c.monitor.target, one.c.monitor.target_s = Target(place_m), one.c.now_s + 0.01
+        one.c.vehicle.monitor.target, one.c.vehicle.monitor.target_s = Target(place_m), one.c.timeline.now_s + 0.01
         assert one.step(after_s=0.02) is HandoverState.REQUESTED
     sent(one, old, 10.1)
-    one.c.monitor.target, one.c.monitor.target_s = Target(10.05), one.c.now_s + 0.01
+    one.c.vehicle.monitor.target, one.c.vehicle.monitor.target_s = Target(10.05), one.c.timeline.now_s + 0.01
     assert one.step(after_s=0.02) is HandoverState.REQUESTED
-    one.c.monitor.target = Target(9.8)
+    one.c.vehicle.monitor.target = Target(9.8)
     assert one.step(after_s=0.02) is HandoverState.RELEASED
     assert one.bench.said(event="evidence")[0].data["reason"] == "its setpoint is held"
     one.commands()
-    one.c.commander.step(one.c.now_s + 1.0)
+    one.c.control.commander.step(one.c.timeline.now_s + 1.0)
     assert one.commands() == []  # what was asked beside is no longer asked
 
 
 def test_what_was_repeated_before_control_moved_is_no_evidence() -> None:
     one = One()
-    one.c.monitor.target, one.c.monitor.target_s = Target(10.0), 64.0
+    one.c.vehicle.monitor.target, one.c.vehicle.monitor.target_s = Target(10.0), 64.0
     one.step()
-    sent(one, one.c.fence.number, 10.0)
+    sent(one, one.c.control.in_force.number, 10.0)
     assert one.step(after_s=0.02) is HandoverState.REQUESTED
-    one.c.monitor.target_s = 64.001
+    one.c.vehicle.monitor.target_s = 64.001
     assert one.step() is HandoverState.RELEASED
 
 
@@ -380,21 +384,21 @@ def test_the_old_station_allows_then_the_new_one_asks_and_is_granted() -> None:
     one = One(way="operator_control", attempt_s=5.0)
     assert one.step() is HandoverState.REQUESTED
     # Until the vehicle has taken that, control stays, and both are heard.
-    assert (one.c.gate.holder, one.c.gate.incoming) == ("s1", "s2")
+    assert (one.c.control.gate.holder, one.c.control.gate.incoming) == ("s1", "s2")
     assert asked(one) == ("s1", 32100, (1.0, 1.0, 10.0, float(OLD), 0.0))
-    one.c.commander.step(64.19)
+    one.c.control.commander.step(64.19)
     assert one.commands() == []
-    one.c.commander.step(64.21)
+    one.c.control.commander.step(64.21)
     assert len(one.commands()) == 1
     assert one.step(after_s=0.3) is HandoverState.REQUESTED
-    assert one.c.gate.holder == "s1"
+    assert one.c.control.gate.holder == "s1"
     one.answer(0, 32100, OLD)
     assert one.step(after_s=0.05) is HandoverState.REQUESTED
-    assert (one.c.gate.holder, one.c.gate.incoming) == ("s2", "s1")
+    assert (one.c.control.gate.holder, one.c.control.gate.incoming) == ("s2", "s1")
     assert asked(one) == ("s2", 32100, (1.0, 0.0, 10.0, float(NEW), 0.0))
-    moved_s, repeated = one.c.now_s, []
+    moved_s, repeated = one.c.timeline.now_s, []
     for k in range(1, 400):
-        one.c.commander.step(moved_s + 0.01 * k)
+        one.c.control.commander.step(moved_s + 0.01 * k)
         repeated += [0.01 * k] * len(one.commands())
     assert len(repeated) == 29
     assert np.diff(repeated) == pytest.approx(0.1, abs=0.011)
@@ -407,12 +411,12 @@ def test_a_grant_is_believed_and_where_the_vehicle_tells_who_it_obeys_that_must_
     one.answer(0, 32100, OLD)
     one.step(after_s=0.05)
     if status is not None:
-        one.c.monitor.control_main, one.c.monitor.control_s = OLD, one.c.now_s
+        one.c.vehicle.monitor.control_main, one.c.vehicle.monitor.control_s = OLD, one.c.timeline.now_s
     assert one.step() is HandoverState.REQUESTED
     one.answer(0, 32100, NEW)
     if status is not None:
         assert one.step(after_s=0.05) is HandoverState.REQUESTED
-        one.c.monitor.control_main = status
+        one.c.vehicle.monitor.control_main = status
     assert one.step(after_s=0.05) is HandoverState.RELEASED
     assert one.bench.said(event="evidence")[0].data["reason"] == "control granted to it"
 
@@ -422,8 +426,8 @@ def test_what_it_repeats_proves_nothing_where_the_vehicle_arbitrates() -> None:
     one.step()
     one.answer(0, 32100, OLD)
     one.step(after_s=0.05)
-    sent(one, one.c.fence.number, 10.0)
-    one.c.monitor.target, one.c.monitor.target_s = Target(10.0), one.c.now_s + 0.01
+    sent(one, one.c.control.in_force.number, 10.0)
+    one.c.vehicle.monitor.target, one.c.vehicle.monitor.target_s = Target(10.0), one.c.timeline.now_s + 0.01
     assert one.step(after_s=0.02) is HandoverState.REQUESTED
 
 
@@ -432,12 +436,12 @@ def test_a_takeover_that_is_not_allowed_or_not_granted_leaves_the_old_station(re
     word = {2: "DENIED", 4: "FAILED"}[result]
     first = One(way="operator_control", attempt_s=5.0)
     first.step()
-    number = first.c.fence.number
+    number = first.c.control.in_force.number
     first.answer(result, 32100, OLD)
     assert first.step(after_s=0.05) is HandoverState.FAILED
     assert first.handover.reason == f"the vehicle answered {word}"
-    assert first.c.fence.number == number  # control never moved
-    assert first.c.gate.incoming is None
+    assert first.c.control.in_force.number == number  # control never moved
+    assert first.c.control.gate.incoming is None
     second = One(way="operator_control", attempt_s=5.0)
     second.step()
     second.answer(0, 32100, OLD)
@@ -445,21 +449,21 @@ def test_a_takeover_that_is_not_allowed_or_not_granted_leaves_the_old_station(re
     second.answer(result, 32100, NEW)
     assert second.step(after_s=0.05) is HandoverState.FAILED
     assert second.handover.reason == f"the vehicle answered {word}"
-    assert second.c.gate.holder == "s1"
+    assert second.c.control.gate.holder == "s1"
 
 
 def test_a_vehicle_that_does_not_answer_the_old_station_times_out_where_it_was() -> None:
     one = One(way="operator_control", attempt_s=2.0)
     one.step()
     for k in range(1, 40):
-        one.c.now_s = 64.0 + 0.05 * k
-        one.c.commander.step(one.c.now_s)
+        one.c.timeline.now_s = 64.0 + 0.05 * k
+        one.c.control.commander.step(one.c.timeline.now_s)
         assert one.step() is HandoverState.REQUESTED
-    one.c.now_s = 66.0
+    one.c.timeline.now_s = 66.0
     assert one.step() is HandoverState.TIMED_OUT
-    assert one.c.gate.holder == "s1"
+    assert one.c.control.gate.holder == "s1"
     one.commands()
-    one.c.commander.step(69.0)
+    one.c.control.commander.step(69.0)
     assert one.commands() == []
 
 
@@ -470,21 +474,21 @@ def test_a_second_attempt_asks_anew_from_the_beginning() -> None:
     one.step(after_s=0.05)
     assert one.step(after_s=1.0) is HandoverState.TIMED_OUT
     one.commands()
-    one.c.now_s += 0.6
+    one.c.timeline.now_s += 0.6
     one.prove()
     assert one.step() is HandoverState.REQUESTED
-    assert one.c.gate.holder == "s1"
+    assert one.c.control.gate.holder == "s1"
     assert asked(one)[0] == "s1"
     one.answer(0, 32100, OLD)
     assert one.step(after_s=0.05) is HandoverState.REQUESTED
-    assert one.c.gate.holder == "s2"
+    assert one.c.control.gate.holder == "s2"
     assert asked(one)[0] == "s2"
 
 
-# -- ownership by parameter -------------------------------------------------------------------------------------------
+# -- GCS ids by parameter ---------------------------------------------------------------------------------------------
 
 
-class Keeper:
+class IdManager:
     """Stands for the one that writes the parameters: which stations the vehicle hears, and which one is to be heard."""
 
     def __init__(self, *, ranged: bool) -> None:
@@ -496,25 +500,25 @@ class Keeper:
         return station in self.heard
 
 
-def by_parameter(*, ranged: bool) -> tuple[One, Keeper]:
+def by_parameter(*, ranged: bool) -> tuple[One, IdManager]:
     one = One(way="parameter", attempt_s=2.0)
-    keeper: Any = Keeper(ranged=ranged)
-    one.c.keeper = keeper
-    return one, keeper
+    manager: Any = IdManager(ranged=ranged)
+    one.c.control.id_manager = manager
+    return one, manager
 
 
 def test_where_two_can_be_heard_control_moves_once_both_are() -> None:
-    one, keeper = by_parameter(ranged=True)
+    one, manager = by_parameter(ranged=True)
     assert one.step() is HandoverState.REQUESTED
-    assert (one.c.gate.holder, one.c.gate.incoming, keeper.claimed) == ("s1", "s2", None)
+    assert (one.c.control.gate.holder, one.c.control.gate.incoming, manager.claimed) == ("s1", "s2", None)
     assert one.step(after_s=0.9) is HandoverState.REQUESTED
-    assert one.c.gate.holder == "s1"
-    keeper.heard.add("s2")
+    assert one.c.control.gate.holder == "s1"
+    manager.heard.add("s2")
     assert one.step(after_s=0.05) is HandoverState.REQUESTED
-    assert (one.c.gate.holder, one.c.gate.incoming) == ("s2", "s1")
+    assert (one.c.control.gate.holder, one.c.control.gate.incoming) == ("s2", "s1")
     # A repeated setpoint is no evidence here: only an answer shows whom the vehicle hears.
-    sent(one, one.c.fence.number, 10.0)
-    one.c.monitor.target, one.c.monitor.target_s = Target(10.0), one.c.now_s + 0.01
+    sent(one, one.c.control.in_force.number, 10.0)
+    one.c.vehicle.monitor.target, one.c.vehicle.monitor.target_s = Target(10.0), one.c.timeline.now_s + 0.01
     assert one.step(after_s=0.02) is HandoverState.REQUESTED
     one.answer(mavlink.MAV_RESULT_ACCEPTED, 512, NEW)
     assert one.step() is HandoverState.RELEASED
@@ -524,40 +528,40 @@ def test_where_two_can_be_heard_and_the_new_one_never_is_the_old_one_goes_on() -
     one, _ = by_parameter(ranged=True)
     one.step()
     assert one.step(after_s=1.99) is HandoverState.REQUESTED
-    assert one.c.gate.holder == "s1"
+    assert one.c.control.gate.holder == "s1"
     assert one.step(after_s=0.01) is HandoverState.TIMED_OUT
-    assert (one.c.gate.holder, one.c.gate.incoming) == ("s1", None)
+    assert (one.c.control.gate.holder, one.c.control.gate.incoming) == ("s1", None)
 
 
 def test_where_one_is_heard_alone_the_new_one_is_claimed_and_tried_after_half_of_the_attempt() -> None:
-    one, keeper = by_parameter(ranged=False)
+    one, manager = by_parameter(ranged=False)
     assert one.step() is HandoverState.REQUESTED
-    assert (one.c.gate.holder, keeper.claimed) == ("s1", "s2")
+    assert (one.c.control.gate.holder, manager.claimed) == ("s1", "s2")
     one.step(after_s=0.99)
-    assert (one.c.gate.holder, keeper.claimed) == ("s1", "s2")
+    assert (one.c.control.gate.holder, manager.claimed) == ("s1", "s2")
     one.step(after_s=0.01)
     # It speaks for itself now.
-    assert (one.c.gate.holder, keeper.claimed) == ("s2", None)
+    assert (one.c.control.gate.holder, manager.claimed) == ("s2", None)
 
 
 def test_where_one_is_heard_alone_control_moves_with_the_answer() -> None:
-    one, keeper = by_parameter(ranged=False)
+    one, manager = by_parameter(ranged=False)
     one.step()
-    keeper.heard = {"s2"}
+    manager.heard = {"s2"}
     one.step(after_s=0.05)
-    assert (one.c.gate.holder, keeper.claimed) == ("s2", None)
+    assert (one.c.control.gate.holder, manager.claimed) == ("s2", None)
     # Unanswered, the old one takes it back.
     assert one.step(after_s=1.95) is HandoverState.TIMED_OUT
-    assert (one.c.gate.holder, keeper.claimed) == ("s1", None)
+    assert (one.c.control.gate.holder, manager.claimed) == ("s1", None)
 
 
 def test_a_neighbour_of_a_dead_link_does_not_wait_for_the_dead_one_to_write() -> None:
-    one, keeper = by_parameter(ranged=False)
+    one, manager = by_parameter(ranged=False)
     one.step(at_once="its link is silent")
-    assert (one.c.gate.holder, keeper.claimed) == ("s2", None)
+    assert (one.c.control.gate.holder, manager.claimed) == ("s2", None)
 
 
 def test_a_vehicle_whose_parameters_are_not_kept_is_moved_at_once() -> None:
     one = One(way="parameter")
     assert one.step() is HandoverState.REQUESTED
-    assert (one.c.gate.holder, one.c.gate.incoming) == ("s2", "s1")
+    assert (one.c.control.gate.holder, one.c.control.gate.incoming) == ("s2", "s1")

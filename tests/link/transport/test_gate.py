@@ -7,24 +7,24 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from link.errors import GateClosed
-from link.transport.gate import Fence
+from link.transport.gate import ControlGrant, Sender
 from tests.support.gate_messages import STATIONS, command, heartbeat, new_gate, timesync
 
 
 def test_control_traffic_goes_out_under_the_system_id_of_the_station_in_control() -> None:
     gate = new_gate()
     gate.send(gate.grant("b"), command())
-    ((station, frame),) = gate.take_outgoing()
-    assert station == "b"
+    ((sender, frame),) = gate.take_outgoing()
+    assert sender == Sender("b")
     assert frame[5] == 242  # the system id in a MAVLink 2 header
     assert gate.take_outgoing() == []
 
 
-def test_an_old_fence_opens_nothing_and_says_who_is_in_control() -> None:
+def test_an_old_grant_opens_nothing_and_says_who_is_in_control() -> None:
     gate = new_gate()
     old = gate.grant("a")
     gate.grant("b")
-    with pytest.raises(GateClosed, match=r"COMMAND_LONG under fence 1 of a was not sent: b \(2\) is in control"):
+    with pytest.raises(GateClosed, match=r"COMMAND_LONG under grant 1 of a was not sent: b \(2\) is in control"):
         gate.send(old, command())
     # Not even when its station is in control again: that is another grant.
     gate.grant("a")
@@ -34,20 +34,20 @@ def test_an_old_fence_opens_nothing_and_says_who_is_in_control() -> None:
     assert gate.stats.blocked == 2
 
 
-def test_a_forged_fence_with_the_right_number_and_another_name_is_refused() -> None:
+def test_a_forged_grant_with_the_right_number_and_another_name_is_refused() -> None:
     gate = new_gate()
     gate.grant("a")
     with pytest.raises(GateClosed):
-        gate.send(Fence(1, "b"), command())
+        gate.send(ControlGrant(1, Sender("b")), command())
 
 
 def test_nobody_in_control_means_silence() -> None:
     gate = new_gate()
-    fence = gate.grant("a")
+    grant = gate.grant("a")
     gate.revoke()
     with pytest.raises(GateClosed, match="nobody is in control"):
-        gate.send(fence, command())
-    with pytest.raises(GateClosed, match="no fence"):
+        gate.send(grant, command())
+    with pytest.raises(GateClosed, match="no grant"):
         gate.send(None, command())
     assert not gate.heartbeat("a", heartbeat())
 
@@ -70,7 +70,7 @@ def test_the_side_doors_let_nothing_else_through() -> None:
     with pytest.raises(GateClosed, match="not a probe"):
         gate.probe("b", command())
     gate.probe("b", timesync())
-    assert [station for station, _ in gate.take_outgoing()] == ["b"]
+    assert [sender for sender, _ in gate.take_outgoing()] == [Sender("b")]
 
 
 def test_unknown_stations_are_an_error_of_the_caller() -> None:
@@ -81,20 +81,20 @@ def test_unknown_stations_are_an_error_of_the_caller() -> None:
 
 
 class GateMachine(RuleBasedStateMachine):
-    """Any order of grants, releases and attempts with any fence ever given out."""
+    """Any order of grants, releases and attempts with any grant ever given out."""
 
     @initialize()
     def begin(self) -> None:
         self.gate = new_gate()
-        self.fences: list[Fence] = []
-        self.owner: Fence | None = None
+        self.grants: list[ControlGrant] = []
+        self.owner: ControlGrant | None = None
         self.incoming: str | None = None
 
     @rule(station=st.sampled_from(sorted(STATIONS)))
     def grant(self, station: str) -> None:
         self.owner = self.gate.grant(station)
-        assert all(self.owner.number > fence.number for fence in self.fences)
-        self.fences.append(self.owner)
+        assert all(self.owner.number > grant.number for grant in self.grants)
+        self.grants.append(self.owner)
 
     @rule()
     def revoke(self) -> None:
@@ -106,20 +106,20 @@ class GateMachine(RuleBasedStateMachine):
         self.gate.accompany(station)
         self.incoming = station
 
-    @precondition(lambda self: self.fences)
+    @precondition(lambda self: self.grants)
     @rule(data=st.data())
     def send(self, data: st.DataObject) -> None:
-        fence = data.draw(st.sampled_from(self.fences))
+        grant = data.draw(st.sampled_from(self.grants))
         try:
-            self.gate.send(fence, command())
+            self.gate.send(grant, command())
         except GateClosed:
-            assert fence != self.owner
+            assert grant != self.owner
             assert self.gate.take_outgoing() == []
         else:
-            assert fence == self.owner
-            ((station, frame),) = self.gate.take_outgoing()
-            assert station == fence.station_id
-            assert frame[5] == STATIONS[station]
+            assert grant == self.owner
+            ((sender, frame),) = self.gate.take_outgoing()
+            assert sender == grant.sender
+            assert frame[5] == STATIONS[sender.station_id]
 
     @rule(station=st.sampled_from(sorted(STATIONS)))
     def beat(self, station: str) -> None:
@@ -129,8 +129,8 @@ class GateMachine(RuleBasedStateMachine):
         assert bool(self.gate.take_outgoing()) == allowed
 
     @invariant()
-    def exactly_one_fence_is_admitted(self) -> None:
-        admitted = [fence for fence in self.fences if self.gate.admits(fence)]
+    def exactly_one_grant_is_admitted(self) -> None:
+        admitted = [grant for grant in self.grants if self.gate.admits(grant)]
         assert admitted == ([] if self.owner is None else [self.owner])
 
 
