@@ -116,14 +116,14 @@ SURFACE = {
     "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store",
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
-    "link.director": "judge_next",
+    "link.director": "PREFLIGHT_VALID_S judge_next",
     "link.files": "FORMATS Format read_tlog report_flight setpoint_file",
     "link.microservices": "Parameter",
     "link.preflight": "Check Identity Level judge_failsafes judge_identity worst worst_first",
     "link.session": "FlightRequest",
     "link.setpoints": "RATE_LIMITS_HZ Setpoint SetpointSampler",
     "link.streamer": "FlightResult RunningFlight attach raise_priority start_flight",
-    "link.transport": "LinkLocks LinkUrl parse_url",
+    "link.transport": "LinkLocks LinkUrl Sender parse_url",
     "link.wire": "Signing SigningKey SigningStore StationCodec",
     "api.bench.paper": (
         "ALLOCATIONS TABLE_3 Results ResultsError Settings cells_3 draw_all matplotlib_available mean "
@@ -162,7 +162,9 @@ LONG_FUNCTIONS: dict[str, str] = {
 }
 """Functions of more than sixty lines, each with its reason: tables, and wiring told from beginning to end."""
 
-FULL_FOLDERS: dict[str, str] = {}
+FULL_FOLDERS: dict[str, str] = {
+    "link/director": "a procedure each, from launch to landing, beside the core that runs them",
+}
 """Folders of more than twelve modules, each with its reason."""
 
 
