@@ -165,8 +165,8 @@ class RunningFlight:
     ) -> None:
         """The operator command `replan`: fly another plan from here on (`gcs.planning.replanning.Replanned`).
 
-        Times are for a flight that stands. The plan's document stays in the run folder. Raises as `command` does, and
-        ``OSError``.
+        ``join_s`` and ``leave_s`` are for a flight that stands. The plan's document stays in the run folder. Raises as
+        `command` does, and ``OSError``.
         """
         name = str(document["plan_sha256"])
         partial = self.run_dir / f"plan-{name}.json.partial"
