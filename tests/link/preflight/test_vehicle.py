@@ -25,8 +25,8 @@ from link.preflight.vehicle import judge_clock, judge_performance, judge_place, 
 from link.session.request import FlightRequest
 from link.telemetry.link_path import LinkQuality
 from link.telemetry.vehicle_monitor import VehicleMonitor
-from tests.support.flight_plans import relay_plan
-from tests.support.ground_flight import checks, on_ground
+from tests.support.flights.on_ground import checks, on_ground
+from tests.support.plans.planned import relay_plan
 
 
 def request(**changes: Any) -> FlightRequest:
