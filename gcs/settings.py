@@ -19,6 +19,22 @@ def default_data_dir() -> Path:
     return (Path(base) if base else Path.home() / ".local" / "share") / "skyrelay"
 
 
+def default_state_dir() -> Path:
+    """What flights of this machine leave for whoever comes next: ``$SKYRELAY_STATE_DIR``, else ``/var/lib/skyrelay``.
+
+    Where the latter is not there or may not be written: ``$XDG_STATE_HOME/skyrelay``, else ``~/.local/state/skyrelay``.
+    Never a temporary folder: two services with folders of their own must meet here, and a restart must find it.
+    """
+    given = os.environ.get("SKYRELAY_STATE_DIR")
+    if given:
+        return Path(given).expanduser().absolute()
+    system = Path("/var/lib/skyrelay")
+    if system.is_dir() and os.access(system, os.W_OK | os.X_OK):
+        return system
+    base = os.environ.get("XDG_STATE_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "state") / "skyrelay"
+
+
 class Settings(BaseSettings):
     """What can be set. Unknown ``SKYRELAY_`` variables are ignored; values out of range raise ``ValidationError``."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Generator
 
 import pytest
@@ -16,6 +17,9 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("skyrelay")
+
+# What flights note for whoever comes next stays in the run, and processes of the run find it.
+os.environ.setdefault("SKYRELAY_STATE_DIR", tempfile.mkdtemp(prefix="skyrelay-state-"))
 
 REQUIRE_ALL = os.environ.get("REQUIRE_ALL") == "1"
 

@@ -24,6 +24,7 @@ from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
+from link.session.changes import ChangeJournal
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
@@ -40,7 +41,8 @@ class FlightCore:
 
     ``codecs`` gives each station its codec (default: unsigned, the plan's system ids). ``now_s`` is the flight's clock
     at the start, ``epoch_unix_s`` what it is in UTC at 0. ``on_frame(now_s, frame)`` is told every frame sent and every
-    message heard, in order. A core is used by one thread.
+    message heard, in order. ``journal`` is where changes to the vehicle are noted before they are made. A core is used
+    by one thread.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class FlightCore:
         now_s: float = 0.0,
         epoch_unix_s: float = 0.0,
         on_frame: OnFrame | None = None,
+        journal: ChangeJournal | None = None,
     ) -> None:
         own = {station: StationCodec(system_id) for station, system_id in request.system_ids.items()}
         self.codecs = own if codecs is None else dict(codecs)
@@ -61,7 +64,7 @@ class FlightCore:
         send, encoding = flight.control.gate.send, flight.vehicle.profile.parameter_encoding
         self.parameters = ParameterClient(send, flight.vehicle.system_id, encoding)
         self.missions = MissionClient(send)
-        self.launch = Launch(flight, self.parameters, self.missions)
+        self.launch = Launch(flight, self.parameters, self.missions, journal)
         self.airborne = Airborne(flight)
         self.links = LinkUpkeep(flight, self.airborne)
         self.announcer = Announcer(flight, self.airborne)

@@ -37,6 +37,7 @@ from link.preflight.vehicle import (
     judge_plan,
     judge_vehicle,
 )
+from link.session.changes import ChangeJournal
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps, answered, wait_until
 from link.transport.url import is_local
@@ -64,14 +65,20 @@ STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
 class Launch:
     """The procedure on the ground and the climb. ``commanded``: whether the operator has said to go."""
 
-    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
+    def __init__(
+        self,
+        flight: FlightContext,
+        parameters: ParameterClient,
+        missions: MissionClient,
+        journal: ChangeJournal | None = None,
+    ) -> None:
         self._flight = flight
         self._request = flight.request
         self._timeline = flight.timeline
         self._vehicle = flight.vehicle
         self._control = flight.control
         self.parameters = parameters
-        self.borrowed = BorrowedSettings(flight, parameters, missions)
+        self.borrowed = BorrowedSettings(flight, parameters, missions, journal)
         self.values: dict[str, Parameter | None] = {}
         self.asking = Asking()
         self.checks: list[Check] = []
@@ -135,6 +142,8 @@ class Launch:
         if vehicle.monitor.version is not None:
             capabilities = int(vehicle.monitor.version.capabilities)
             self.parameters.encoding = encoding_of(capabilities, vehicle.profile.parameter_encoding)
+        if (yield from self.borrowed.note.recover()):
+            yield from self._break_in()
         # The EKF lays its origin once it has a position: on a cold vehicle that takes most of a minute.
         first = self._flight.plan.station_ids[0]
         known = yield from self._ask_for_message(
@@ -148,7 +157,7 @@ class Launch:
             )
         vehicle.origin = vehicle.monitor.links[first].origin
         for station in dict.fromkeys(self._flight.plan.station_ids):
-            # Every link in turn, in control for a moment, still on the ground: what it will carry is tried now.
+            # Every link in turn, in control for a moment, on the ground: what it will carry is tried now.
             if station != first and self._link_works(station):
                 control.grant(station, "link check on the ground")
                 yield from self._ask_for_message(
@@ -166,9 +175,13 @@ class Launch:
             return
         hint = "it may be locked to other stations' ids (MAV_OPTIONS bit 0)"
         if not self._request.rescue:
-            raise Refused(f"the vehicle is heard but answers no command: {hint}; allow the rescue to take it over")
+            left = self.borrowed.note.left_by_others()
+            by = f" by flight {left[-1].flight_id}" if left else ""
+            fix = f"{self.borrowed.note.remedy}, or fly with --rescue (REST: rescue)"
+            raise Refused(f"the vehicle is heard but answers no command: {hint}{by}; unlock it with {fix}")
         first = self._flight.plan.station_ids[0]
         control.grant(first, "rescue", as_vehicle=True)
+        yield from self._command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,))
         yield from self._read()
         before = gcs_ids.present(self.values)
         if before is None:

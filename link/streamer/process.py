@@ -42,6 +42,7 @@ from link.clock import FlightClock, PacedClock
 from link.director.core import FlightCore
 from link.director.plan_exchange import NextPlan
 from link.errors import FlightRequestError, LinkError
+from link.files.change_journal import FileJournal
 from link.session.request import FlightRequest
 from link.streamer.control_socket import SOCKET_FILE, ControlServer
 from link.streamer.recorder import Recorder
@@ -139,6 +140,7 @@ class Streamer:
             now_s=self.clock.now_s(),
             epoch_unix_s=epoch_unix_s,
             on_frame=self.recorder.frame,
+            journal=FileJournal(run_dir=run_dir),
         )
         self.control = ControlServer(run_dir / SOCKET_FILE)
         self.events: list[dict[str, Any]] = []
