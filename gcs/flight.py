@@ -197,6 +197,8 @@ class OperatorCommand(StrEnum):
 
     LAUNCH = "launch"
     """Arm and go (after a passed preflight)."""
+    PREFLIGHT = "preflight"
+    """Make the preflight again, before the launch command."""
     HOLD = "hold"
     RESUME = "resume"
     ABORT = "abort"
@@ -217,6 +219,7 @@ class OperatorCommand(StrEnum):
 COMMANDS_ALLOWED: Mapping[OperatorCommand, frozenset[FlightState]] = MappingProxyType(
     {
         OperatorCommand.LAUNCH: frozenset({_S.READY}),
+        OperatorCommand.PREFLIGHT: frozenset({_S.READY}),
         OperatorCommand.HOLD: frozenset({_S.TRANSIT, _S.CRUISE, _S.RETURNING, _S.HOLDING}),
         OperatorCommand.RESUME: frozenset({_S.HOLDING, _S.LAPSED}),
         OperatorCommand.ABORT: frozenset(_S) - _ENDS,

@@ -34,6 +34,7 @@ class FlightStatus:
     station: str | None = None
     t_plus_s: float | None = None
     utc: str | None = None
+    ended_utc: str | None = None
     result: dict[str, Any] | None = None
     reason: str = ""
     plan_sha256: str | None = None
@@ -44,6 +45,8 @@ class FlightStatus:
         data = dict(event.data)
         self.state, self.sequence = event.state, event.sequence
         self.t_plus_s, self.utc = event.t_plus_s, event.utc
+        if event.state.ended:
+            self.ended_utc = self.ended_utc or event.utc
         match event.kind:
             case EventKind.STATE:
                 self.reason = str(data.get("reason") or "")

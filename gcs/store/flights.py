@@ -16,7 +16,7 @@ from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.flight import FlightEvent, FlightState
 from gcs.store.database import Database
 from gcs.store.missions import Clock, dump, stored_utc
-from gcs.store.tables import flight_events, flights, mission_versions
+from gcs.store.tables import flight_events, flights, mission_versions, missions
 
 log = logging.getLogger(__name__)
 
@@ -69,6 +69,9 @@ class FlightStore:
             ).first()
             if planned is None:
                 raise NotFoundError(f"there is no version {version} of mission {mission_id}")
+            archived = connection.execute(select(missions.c.archived_utc).where(missions.c.id == mission_id)).scalar()
+            if archived is not None:
+                raise ConflictError(f"mission {mission_id} is archived: submit it again to fly it")
             if planned.status != "planned":
                 raise ConflictError(f"mission {mission_id} is {planned.status}, not planned")
             if planned.plan_sha256 != plan_sha256:

@@ -293,6 +293,8 @@ class FlightCore:
         air = self.airborne
         if command is OperatorCommand.LAUNCH:
             self.launch.commanded = True
+        elif command is OperatorCommand.PREFLIGHT:
+            self.launch.renewed = True
         elif command is OperatorCommand.HOLD:
             air.hold()
         elif command is OperatorCommand.RESUME:

@@ -85,6 +85,7 @@ class Launch:
         self.simulator_speedup: float | None = None
         self.ground_amsl_m = 0.0
         self.commanded = flight.request.auto_launch
+        self.renewed = False
         self.preflight_id = 0
         self._passed_s: float | None = None
         """The flight's clock when the last preflight passed."""
@@ -295,11 +296,8 @@ class Launch:
             self.asking = Asking(attempts, self._loss(), denied)
             if not self.asking.unsure:
                 break
-        answers = {one.name: one.answer for one in asked.values()}
-        self.values = {
-            parameter.key: next((answers[n] for n in parameter.names if answers[n] is not None), None)
-            for parameter in known
-        }
+        answers = {name: one.answer for name, one in asked.items()}
+        self.values = {p.key: next((answers[n] for n in p.names if answers[n] is not None), None) for p in known}
         simulator = answers[SIMULATOR_PARAMETER]
         self.simulator_speedup = None if simulator is None else float(simulator.value)
 
@@ -380,12 +378,14 @@ class Launch:
     # -- the launch command -------------------------------------------------------------------------------------------
 
     def _wait_for_command(self) -> Steps[None]:
-        timeline = self._timeline
-        if not (yield from wait_until(timeline, lambda: self.commanded, self._request.launch_timeout_s)):
-            yield from self.restore()
-            raise Refused(f"no word to launch in {self._request.launch_timeout_s:g} s")
-        age_s = self.preflight_age_s
-        if age_s is None or age_s >= PREFLIGHT_VALID_S:
+        while not self.commanded:
+            self.renewed, limit_s = False, self._request.launch_timeout_s
+            if not (yield from wait_until(self._timeline, lambda: self.commanded or self.renewed, limit_s)):
+                yield from self.restore()
+                raise Refused(f"no word to launch in {limit_s:g} s")
+            if not self.commanded:
+                yield from self._preflight()
+        if (age_s := self.preflight_age_s) is None or age_s >= PREFLIGHT_VALID_S:
             yield from self._preflight()
 
     def _command(self, name: str, command: int, params: tuple[Any, ...]) -> Steps[Ticket]:

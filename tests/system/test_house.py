@@ -117,13 +117,16 @@ SURFACE = {
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
     "link.director": "PREFLIGHT_VALID_S judge_next",
-    "link.files": "FORMATS Format read_tlog report_flight setpoint_file",
+    "link.files": "FORMATS FileJournal Format read_tlog report_flight setpoint_file",
     "link.microservices": "Parameter",
     "link.preflight": "Check Identity Level judge_failsafes judge_identity worst worst_first",
     "link.session": "FlightRequest",
     "link.setpoints": "RATE_LIMITS_HZ Setpoint SetpointSampler",
-    "link.streamer": "FlightResult RunningFlight attach raise_priority start_flight",
-    "link.transport": "LinkLocks LinkUrl Sender parse_url",
+    "link.streamer": (
+        "FlightResult RegisteredFlight RunningFlight VehicleDesk ask attach epitaph events_of flight_on open_desk "
+        "raise_priority registered_flights start_flight"
+    ),
+    "link.transport": "LinkLocks LinkUrl Sender is_local parse_url",
     "link.wire": "Signing SigningKey SigningStore StationCodec",
     "api.bench.paper": (
         "ALLOCATIONS TABLE_3 Results ResultsError Settings cells_3 draw_all matplotlib_available mean "
@@ -140,12 +143,13 @@ SURFACE = {
         "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE CommandBody "
         "FlightDetail FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
         "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody ProblemDetails RegisteredLink "
-        "RegisteredStation RegisteredVehicle RegistryPage ReplanCommand ReplanProposal ReplanRequest StationEntry "
-        "Status VehicleEntry VersionList"
+        "RegisteredStation RegisteredVehicle RegistryPage ReplanCommand ReplanProposal ReplanRequest Restored "
+        "RestoreRequest StationEntry Status VehicleEntry VersionList"
     ),
     "api.service": (
         "Changes FlightService FlightStatus Metrics Proposal ReplanError ReplanFailedError ReplanInfeasibleError "
-        "ReplanStateError Replanning ServiceError Services StillStoppingError configure_logging outer_state"
+        "ReplanStateError Replanning ServiceError Services StillStoppingError configure_logging outer_state "
+        "restore_vehicle"
     ),
     "sitl_fixtures.ardupilot": "ArduCopter",
     "sitl_fixtures.autopilot": "AutopilotModel",

@@ -1,4 +1,4 @@
-"""``skyrelay flight``: operator commands to a flight of the service: hold, resume, abort, land, replan, accept."""
+"""``skyrelay flight``: operator commands to a flight, of the service or of ``fly``: hold, resume, abort, land."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ def flight(
         str | None, typer.Argument(metavar="[FLIGHT]", help="Its id; left out, the flights under way are listed.")
     ] = None,
     command: Annotated[
-        Literal["look", "hold", "resume", "abort", "land", "replan", "accept"],
+        Literal["look", "attach", "hold", "resume", "abort", "land", "replan", "accept"],
         typer.Argument(
-            help="look: where it is; hold: stop on the path; resume: go on; abort: the contingency procedure in force; "
+            help="look: where it is; attach: show it until it ends (of `fly`); "
+            "hold: stop on the path; resume: go on; abort: the contingency procedure in force; "
             "land: at once, wherever that is; replan: propose a plan from here; accept: fly the plan proposed."
         ),
     ] = "look",
@@ -52,15 +53,28 @@ def flight(
     by: Annotated[str | None, typer.Option(metavar="NAME", help="Who commands it, for the record.")] = None,
     reason: Annotated[str | None, typer.Option(metavar="TEXT", help="Why, for the record.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer.")] = False,
-) -> None:
-    """Look at a flight that runs in the service, and command it: hold it, let it go on, end it, plan it anew.
+) -> int:
+    """Look at a flight, of the service or of `fly`, and command it: hold it, let it go on, end it, plan it anew.
 
     A plan proposed changes nothing until it is accepted: `skyrelay flight ID replan`, then `accept --plan SHA256`.
     """
+    from api.cli.commands import local_flight
+    from api.cli.errors import FaultError
     from api.cli.rest_client import RefusedError, ServiceClient
 
+    local = local_flight.find(flight_id)
+    if local is not None and command == "attach":
+        return local_flight.attend(local, as_json=as_json)
+    if command == "attach":
+        raise BadInputError(
+            "no such flight runs on this machine",
+            {"where": "FLIGHT", "value": flight_id, "fix": "`skyrelay flight` lists those under way"},
+        )
     client = ServiceClient(service.rstrip("/") + "/")
     try:
+        # Not by way of a service that does not know it.
+        if local is not None and local.flight_id.startswith("fly-"):
+            raise FaultError("not the service's")
         answer, text = _asked(
             client,
             flight_id,
@@ -73,7 +87,22 @@ def flight(
         )
     except RefusedError as refusal:
         raise _refused(refusal.status, refusal.problem) from None
+    except FaultError as fault:
+        # A service that is away takes no command from an operator: the flight itself is on this machine.
+        if local is not None:
+            answer, text = local_flight.command(local, command, {"by": by, "reason": reason})
+        elif flight_id is None and (here := local_flight.listed(set())):
+            answer, text = {"items": here}, "\n".join(map(_local_line, here)) + f"\n({fault.headline})"
+        else:
+            raise
     typer.echo(json.dumps(answer, indent=1) if as_json else text)
+    return 0
+
+
+def _local_line(one: Mapping[str, Any]) -> str:
+    from api.cli.commands.flight_view import state_text
+
+    return f"{one['id']}  {state_text(one['phase']):<12} of `fly`, over {', '.join(one['links'])}"
 
 
 def _asked(
@@ -88,11 +117,15 @@ def _asked(
     plan_sha256: str | None,
 ) -> tuple[Any, str]:
     """The service's answer, and what it is in words. Raises `api.cli.rest_client.RefusedError`, `BadInputError`."""
+    from api.cli.commands import local_flight
     from api.cli.commands.flight_view import state_text
 
     if flight_id is None:
         flights = service.call("GET", "v1/flights?active=true&limit=200")
         lines = [f"{f['id']}  {state_text(f['phase']):<12} vehicle {f['vehicle_id']}" for f in flights["items"]]
+        here = local_flight.listed({f["id"] for f in flights["items"]})
+        lines += map(_local_line, here)
+        flights = {**flights, "items": flights["items"] + here}
         return flights, "\n".join(lines) or "no flight is under way"
     address = f"v1/flights/{quote(flight_id, safe='')}"
     if command == "replan":

@@ -109,7 +109,7 @@ def list_flights(
 def get_flight(services: Wired, flight_id: FlightId) -> schemas.FlightDetail:
     """State, preflight, where it is, alarms, how it ended."""
     with shared.domain_errors():
-        body = shown(services, services.store.flights.get(flight_id), whole=True)
+        body = shown(services, services.flights.record(flight_id), whole=True)
     return schemas.FlightDetail.model_validate(body)
 
 
@@ -122,6 +122,7 @@ def events(
 ) -> schemas.FlightEvents:
     """Events in order, append-only: states, checks, operator commands, handovers, alarms, now and then a position."""
     with shared.domain_errors():
+        services.flights.settle(flight_id)
         services.store.flights.get(flight_id)
         found = services.store.flights.events(flight_id, after=after, limit=limit)
     return schemas.FlightEvents.model_validate({"items": [event.to_document() for event in found]})
@@ -135,6 +136,12 @@ def launch(services: Wired, flight_id: FlightId, body: schemas.LaunchCommand) ->
             flight_id, plan_sha256=body.plan_sha256, preflight_id=body.preflight_id, by=body.by or "REST"
         )
     return get_flight(services, flight_id)
+
+
+@router.post("/{flight_id}/preflight", summary="Make the preflight again")
+def preflight(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
+    """Before the launch command, which needs one under 60 s old: the vehicle and its links are judged anew."""
+    return _command(services, flight_id, OperatorCommand.PREFLIGHT, body)
 
 
 def _command(
@@ -252,7 +259,7 @@ async def telemetry(socket: WebSocket, flight_id: MissionId) -> None:
 
     def look() -> FlightStatus:
         with shared.domain_errors():
-            services.store.flights.get(flight_id)
+            services.flights.record(flight_id)
             return services.flights.look(flight_id)
 
     await socket.accept()

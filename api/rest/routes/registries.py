@@ -15,7 +15,7 @@ from api.rest.dependencies import Wired
 from api.rest.problems import NotFoundError, UnprocessableError
 from api.rest.routes import shared
 from api.rest.routes.shared import Limit
-from api.service import Services
+from api.service import Services, restore_vehicle
 from gcs.store import Entry
 from link.errors import EndpointUrlError
 from link.transport import parse_url
@@ -216,3 +216,12 @@ _REGISTRIES = (
 for _registry in _REGISTRIES:
     _add_reading(_registry)
     _add_writing(_registry)
+
+
+@router.post("/vehicles/{entry_id}/restore", summary="Give back what flights left changed on a vehicle")
+def restore(services: Wired, entry_id: EntryId, body: schemas.RestoreRequest | None = None) -> schemas.Restored:
+    """From the journal of this machine: GCS ids, rally points, geofence; on the ground, disarmed, and not in flight."""
+    asked = body or schemas.RestoreRequest(unlock=False)
+    with shared.domain_errors():
+        done = restore_vehicle(services.store, entry_id, unlock=asked.unlock)
+    return schemas.Restored.model_validate(done)

@@ -34,6 +34,8 @@ from api.rest.schemas.registries import (
     RegisteredStation,
     RegisteredVehicle,
     RegistryPage,
+    Restored,
+    RestoreRequest,
     StationEntry,
     VehicleEntry,
 )
@@ -67,6 +69,8 @@ __all__ = [
     "ReplanCommand",
     "ReplanProposal",
     "ReplanRequest",
+    "RestoreRequest",
+    "Restored",
     "StationEntry",
     "Status",
     "VehicleEntry",

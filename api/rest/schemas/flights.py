@@ -43,6 +43,11 @@ class NewFlight(Closed):
         description="How the vehicle is told of a handover; default `auto`: by what it offers. `parameter`: ArduPilot "
         "hears one station at a time and is told of each.",
     )
+    rescue: bool | None = Field(
+        None,
+        description="Take over an ArduPilot that is locked to other stations' ids, by its own id; default false. It "
+        "gets them back after the flight.",
+    )
 
 
 class LaunchCommand(Closed):

@@ -34,6 +34,16 @@ class RegisteredLink(Closed):
         description="udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.",
         examples=["udpout:127.0.0.1:14540"],
     )
+    signing_key: str | None = Field(
+        None,
+        max_length=500,
+        pattern=r"^(file:/.+|env:[A-Za-z_][A-Za-z0-9_]*)$",
+        description="Where the service finds the key that signs this link: file:/PATH or env:NAME.",
+        examples=["file:/etc/skyrelay/medic-1.key"],
+    )
+    allow_unsigned: bool | None = Field(
+        None, description="Whether a flight may use it unsigned where it leaves the service's machine; default false."
+    )
     description: str | None = Field(None, max_length=500)
 
 
@@ -48,6 +58,27 @@ class RegisteredVehicle(Closed):
         examples=[{"*": "simulator"}],
     )
     name: str | None = Field(None, max_length=200)
+
+
+class RestoreRequest(Closed):
+    """How a vehicle is given back what flights left changed on it."""
+
+    unlock: bool = Field(
+        False, description="Where no note says what was there before: let every ground station be heard again."
+    )
+
+
+class Restored(Closed):
+    """What was given back to a vehicle, by parameter or list."""
+
+    url: str
+    system_id: int
+    notes: int = Field(description="Flights that had left something.")
+    given_back: list[str]
+    as_before: list[str] = Field(description="Back already.")
+    foreign: list[str] = Field(description="Changed by somebody else since, and left as they are.")
+    failed: list[str]
+    locked: bool = Field(description="Whether it still hears only the stations it names.")
 
 
 class Entry(Closed):
