@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from gcs.document_reader import FaultList
@@ -13,6 +14,8 @@ METRES_A_FOOT = 0.3048
 # A ceiling so far below every antenna, or an antenna so far above the ceiling, is told.
 UNDER_ANTENNAS_M = 100.0
 OVER_CEILING_M = 3_000.0
+# A wind above this part of the airspeed makes flights of hours into days.
+WINDY = 0.9
 
 
 def check_masts(places: Sequence[tuple[str, Position]], origin: GeoPosition | None, faults: FaultList) -> None:
@@ -50,6 +53,12 @@ def doubts(mission: Mission) -> list[str]:
             f"check the altitude of {high[0]}{f' and {len(high) - 1} more' if len(high) > 1 else ''}: the antenna is "
             f"{heights[high[0]] - ceiling:.0f} m above the band; {heights[high[0]]:g} ft would be "
             f"{heights[high[0]] * METRES_A_FOOT:.0f} m"
+        )
+    wind, airspeed = math.hypot(*(mission.limits.wind_m_s or (0.0, 0.0))), mission.limits.max_airspeed_m_s
+    if airspeed is not None and wind > WINDY * airspeed:
+        told.append(
+            f"check the wind: {wind:.2f} m/s leave {airspeed - wind:.2f} m/s of the airspeed of {airspeed:g} m/s "
+            "to fly against it with"
         )
     if mission.start == mission.destination:
         told.append("start and destination are one place")
