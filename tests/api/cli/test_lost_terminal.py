@@ -98,9 +98,11 @@ def test_after_a_hangup_the_flight_is_found_held_resumed_attended_and_ended(
     refused = run_process("flight", one.flight_id, "replan")
     assert (refused.code, "needs a service" in refused.err) == (2, True)
     attended = subprocess.Popen([*SKYRELAY, "flight", one.flight_id, "attach"], stderr=subprocess.PIPE, text=True)
-    time.sleep(2.0)
+    assert attended.stderr is not None
+    assert any("attending flight" in line for line in attended.stderr)
     attended.send_signal(signal.SIGHUP)
     assert attended.wait(20) == 0
+    attended.stderr.close()
     assert [flight.pid for flight in registered_flights()] == [one.pid]
     resumed = run_process("flight", one.flight_id, "resume")
     assert (resumed.code, "T+" in resumed.out) == (0, True), resumed.err
