@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gcs.plan import Plan
     from link.streamer import RegisteredFlight
 
+_ENDS = ("completed", "refused", "contingency", "lost")
 COMMANDS = ("hold", "resume", "abort", "land")
 
 
@@ -42,6 +43,8 @@ def listed(known: set[str]) -> list[dict[str, Any]]:
             phase = str(ask(one.run_dir, {"status": True})["status"]["state"])
         except SupervisorError:
             phase = "not answering"
+        if phase in _ENDS:
+            continue
         found.append({"id": one.flight_id, "phase": phase, "links": list(one.urls), "run_dir": one.run_dir})
     return found
 
