@@ -21,6 +21,7 @@ from planner.corridor.handover_polyline import polyline_along
 from planner.energy import cost_s, slowed_to_save
 from planner.errors import InfeasibleError, SolverError
 from planner.infeasibility.explanation import explain, no_way_from_moving_start, too_long
+from planner.joint.levelling import levelled
 from planner.joint.sequence_planner import Attempt, Effort, plan_joint
 from planner.paper.alternating import plan_paper
 from planner.problem import Problem
@@ -147,7 +148,9 @@ class _Search:
             notes = ("the joint problem gave no better plan; this one is alternating minimisation's",)
         elif not best.converged:
             notes = ("the solver stopped before converging; the plan is feasible, a faster one may exist",)
-        return Solution(best.trajectory, best.certificate, best.method, self.bound.time_s, best.iterations, notes)
+        trajectory = levelled(self.problem, best.trajectory)
+        certificate = best.certificate if trajectory is best.trajectory else certify(self.problem, trajectory)
+        return Solution(trajectory, certificate, best.method, self.bound.time_s, best.iterations, notes)
 
     def _free(self) -> tuple[list[tuple[int, ...]], Attempt | None]:
         """Where handovers cost nothing the shortest path's sequence is best, and others only looked at in doubt."""

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.arrays import Array
+from planner.arrays import Array, Flags
 from planner.corridor.corridor import Corridor, Piece
 from planner.problem import Problem
 from planner.speed_profile import speed_profile
 
 # How much more an acceleration phase counts than cruising.
 CHANGE_WEIGHT = 5.0
+# Pieces that speeding up from rest, or braking to it, gets at least, as far as it is no more than half of the leg's.
+RAMP_PIECES = 3.0
 # Part of the acceleration limit that polynomials reach on average while speeding up, and while turning in a bend.
 STRAIGHT_ACCEL, BEND_ACCEL = 0.5, 0.25
 # Points per leg at which the profile is looked at.
@@ -84,9 +86,38 @@ def _equal_shares(problem: Problem, span: tuple[float, float], length: float, sp
     limits = problem.limits
     accel = STRAIGHT_ACCEL * limits.max_accel_m_s2
     edges = np.linspace(span[0], span[1], SAMPLES + 1)
+    ramp_m = limits.max_speed_m_s**2 / (2.0 * accel)
+    if ramp_m < 0.25 * (span[1] - span[0]):
+        # On a long leg ramps would fall between two of these points.
+        fine = np.linspace(0.0, ramp_m, SAMPLES // 4 + 1)
+        edges = np.unique(np.concatenate([edges, span[0] + fine, span[1] - fine]))
     middle = 0.5 * (edges[:-1] + edges[1:])
     profile = np.sqrt(np.minimum(speed[0] ** 2 + 2.0 * accel * middle, speed[1] ** 2 + 2.0 * accel * (length - middle)))
-    weight = np.where(profile < limits.max_speed_m_s, CHANGE_WEIGHT, 1.0)
-    weight /= np.clip(profile, 1e-3 * limits.max_speed_m_s, limits.max_speed_m_s)
+    changing = profile < limits.max_speed_m_s
+    weight = np.diff(edges) / np.clip(profile, 1e-3 * limits.max_speed_m_s, limits.max_speed_m_s)
+    weight[changing] *= CHANGE_WEIGHT
+    _give_ramps_pieces(weight, changing, speed, parts)
     spent = np.concatenate([[0.0], np.cumsum(weight)])
     return np.interp(np.linspace(0.0, spent[-1], parts + 1), spent, edges)
+
+
+def _give_ramps_pieces(weight: Array, changing: Flags, speed: Array, parts: int) -> None:
+    """Raise the weights of ramps from and to rest until each has its `RAMP_PIECES` of ``parts``, however long the leg.
+
+    On a leg of many minutes the time spent in a ramp is next to nothing, but one polynomial cannot both speed up and
+    cruise: the flight would be late by half of what its longest piece takes.
+    """
+    steady = np.flatnonzero(~changing)
+    if not len(steady):
+        return
+    ramps = [
+        part for part, end in ((slice(0, steady[0]), speed[0]), (slice(steady[-1] + 1, None), speed[1])) if end == 0.0
+    ]
+    ramps = [part for part in ramps if changing[part].any()]
+    if not ramps:
+        return
+    share = min(RAMP_PIECES / parts, 0.5 / len(ramps))
+    rest = float(weight.sum()) - sum(float(weight[part].sum()) for part in ramps)
+    wanted = share / (1.0 - share * len(ramps)) * rest
+    for part in ramps:
+        weight[part] *= max(1.0, wanted / float(weight[part].sum()))

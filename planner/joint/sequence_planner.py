@@ -24,6 +24,7 @@ from planner.coverage.disc import disc_radius_m, usable_stations
 from planner.energy import cost_s
 from planner.errors import SolverError
 from planner.joint.solver import solve_corridor
+from planner.joint.straight_flight import straight_flight
 from planner.problem import Problem
 from planner.trajectory import Trajectory
 
@@ -87,6 +88,10 @@ def plan_joint(
 
     Deterministic. Costs one solve in nearly every case.
     """
+    if len(sequence) == 1 and energy_weight == 0.0:
+        straight = _straight(problem, sequence[0])
+        if straight is not None:
+            return straight
     best: Attempt | None = None
     iterations = 0
     flat = problem.limits.min_alt_m == problem.limits.max_alt_m
@@ -125,6 +130,18 @@ def plan_joint(
         if solved.converged:
             break
     return best
+
+
+def _straight(problem: Problem, station: int) -> Attempt | None:
+    """The fastest flight under one station in closed form, where it keeps every limit."""
+    trajectory = straight_flight(problem, station)
+    if trajectory is None:
+        return None
+    certificate = certify(problem, trajectory)
+    if not certificate.feasible:
+        return None
+    time_s = trajectory.duration_s
+    return Attempt((station,), trajectory, certificate, "joint", 0, converged=True, cost_s=time_s)
 
 
 def planar_problem(problem: Problem) -> Problem:
