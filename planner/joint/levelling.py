@@ -7,6 +7,7 @@ from the start's altitude to the destination's, over the way flown: at every joi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,22 +37,32 @@ def levelled(problem: Problem, trajectory: Trajectory) -> Trajectory:
         return trajectory
     own, straight = _states(trajectory), _straight_states(problem, trajectory)
     straight[:, 0], straight[:, -1] = own[:, 0], own[:, -1]
-    bounds = _Bounds.of(problem, trajectory)
-    tried = np.zeros(len(trajectory) + 1, dtype=np.int64)
-    while (tried < len(PARTS) - 1).any():
+    bounds, durations = _Bounds.of(problem, trajectory), trajectory.durations_s
+
+    def at(part: Array) -> Array:
+        return _altitudes(own + part * (straight - own), durations)
+
+    part = _allowed_parts(lambda part: bounds.broken(at(part), durations), len(own[0]))
+    if not part.any():
+        return trajectory
+    points = trajectory.control_points_m.copy()
+    points[..., 2] = at(part)
+    changed = replace(trajectory, control_points_m=points)
+    return changed if certify(problem, changed).feasible else trajectory
+
+
+def _allowed_parts(broken: Callable[[Array], Flags], joints: int) -> Array:
+    """How far every joint may go ``(joints,)``: less and less beside pieces that a limit stops."""
+    tried = np.zeros(joints, dtype=np.int64)
+    while True:
         part = np.array(PARTS)[tried]
-        altitudes = _altitudes(own + part * (straight - own), trajectory.durations_s)
-        broken = bounds.broken(altitudes, trajectory.durations_s)
-        if not broken.any():
-            points = trajectory.control_points_m.copy()
-            points[..., 2] = altitudes
-            changed = replace(trajectory, control_points_m=points)
-            return changed if certify(problem, changed).feasible else trajectory
-        late = np.concatenate([broken, [False]]) | np.concatenate([[False], broken])
-        if (tried[late] == len(PARTS) - 1).all():
-            return trajectory
-        tried[late] = np.minimum(tried[late] + 1, len(PARTS) - 1)
-    return trajectory
+        stopped = broken(part)
+        if not stopped.any():
+            return part
+        beside = np.append(stopped, False) | np.append(False, stopped)
+        if (tried[beside] == len(PARTS) - 1).all():
+            return np.zeros(joints)
+        tried[beside] = np.minimum(tried[beside] + 1, len(PARTS) - 1)
 
 
 def _states(trajectory: Trajectory) -> Array:
