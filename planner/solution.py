@@ -14,7 +14,8 @@ class Solution:
 
     ``method`` names the method that made it (after any fallback); ``lower_bound_s`` is a time no trajectory of the
     problem can beat; ``iterations`` counts the method's outer steps; ``notes`` say what a reader of the plan should
-    know, e.g. that a fallback was used.
+    know, e.g. that a fallback was used. ``fastest_s`` and ``fastest_handovers`` are those of the fastest plan found,
+    where this one has fewer handovers for a little more time, else None.
     """
 
     trajectory: Trajectory
@@ -23,3 +24,5 @@ class Solution:
     lower_bound_s: float
     iterations: int = 0
     notes: tuple[str, ...] = field(default=())
+    fastest_s: float | None = None
+    fastest_handovers: int | None = None

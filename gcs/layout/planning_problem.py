@@ -94,6 +94,7 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> PlanningProblem:
             min_overlap_s=options.min_overlap_s,
             min_tenure_s=options.min_tenure_s,
             max_handovers=options.max_handovers,
+            handover_tolerance=options.handover_tolerance,
             bound_ranges_m=None if geometry.is_local else bound[stations],
             bound_speed_factor=1.0 if geometry.is_local else k * bound_speed_factor(farthest, limits.min_alt_amsl_m),
             min_elevation_deg=elevation if (elevation > -90.0).any() else None,

@@ -100,8 +100,9 @@ class MissionOptions:
 
     Around every handover both stations cover the vehicle ``min_overlap_s``, half of it before and half after;
     ``range_margin_m`` is taken off every range; a station is in control at least ``min_tenure_s`` where there is more
-    than one. ``objective`` is ``"time"``, ``"energy"`` or the weight of energy between 0 and 1; ``arrival_s`` the
-    mission time wished for.
+    than one. ``handover_tolerance`` is the part of the fastest plan's time, and at least a second, given up for fewer
+    handovers: 0 asks for the fastest plan, and is the default where ``min_overlap_s`` is 0. ``objective`` is
+    ``"time"``, ``"energy"`` or the weight of energy between 0 and 1; ``arrival_s`` the mission time wished for.
     """
 
     min_overlap_s: float = 5.0
@@ -111,6 +112,7 @@ class MissionOptions:
     on_arrival: str = "land"
     excluded_stations: tuple[str, ...] = ()
     max_handovers: int | None = None
+    handover_tolerance: float = 0.001
     objective: str | float = "time"
     start_state: StartState | None = None
     arrival_s: float | None = None

@@ -16,7 +16,7 @@ from gcs.geodesy.plane import Plane
 from gcs.mission.model import Mission
 from gcs.plan.contingency import contingencies
 from gcs.plan.handover_schedule import schedule
-from gcs.plan.model import Plan
+from gcs.plan.model import Fastest, Plan
 from gcs.planning.certification import _lower_bound_s, certify_true
 from gcs.planning.solve import PlannerLike, laid_out, solve
 from gcs.timestamps import utc_text
@@ -72,6 +72,9 @@ def plan_mission(
     remarks = [*notes, *solution.notes]
     if time_limit_s is not None:
         remarks.append(f"planned within a time limit of {time_limit_s:g} s: another machine may plan otherwise")
+    fastest = None
+    if solution.fastest_s is not None and solution.fastest_handovers is not None:
+        fastest = Fastest(solution.fastest_s, solution.fastest_handovers)
     plan = Plan(
         mission=named,
         trajectory=curve,
@@ -87,6 +90,7 @@ def plan_mission(
         planner_version=product_version(),
         iterations=solution.iterations,
         notes=tuple(remarks),
+        fastest=fastest,
     )
     tell("done", 1.0)
     return plan

@@ -83,6 +83,9 @@ def solve(laid: PlanningProblem, planner: PlannerLike, method: Method, time_limi
     except SolverError as error:
         raise PlanningFailed(f"every planning method gave up: {error}") from error
     allowed, arrival = _allowed_s(mission), mission.options.arrival_s
+    if solution.trajectory.duration_s > min(t for t in (allowed, arrival, math.inf) if t is not None):
+        # No time to give up for fewer handovers.
+        solution = run(_hurried(laid.problem), 0.0)
     duration = solution.trajectory.duration_s
     if allowed is not None and duration > allowed:
         raise _endurance_refused(mission, run, solution, allowed)
@@ -103,6 +106,11 @@ def _allowed_s(mission: Mission) -> float | None:
 def _unhurried(problem: Problem) -> Problem:
     """Without its endurance: how long a flight takes is only known when there is one."""
     return replace(problem, limits=replace(problem.limits, max_duration_s=None))
+
+
+def _hurried(problem: Problem) -> Problem:
+    """As `_unhurried`, and the fastest plan whatever its handovers."""
+    return replace(_unhurried(problem), handover_tolerance=0.0)
 
 
 def _cheapest(laid: PlanningProblem, run: Run) -> Solution | None:
@@ -127,7 +135,7 @@ def _cheapest(laid: PlanningProblem, run: Run) -> Solution | None:
 def _planned_s(mission: Mission, run: Run) -> float:
     """How long the fastest plan of a mission takes; infinite when it has none."""
     try:
-        return run(_unhurried(lay_out(mission).problem), 0.0).trajectory.duration_s
+        return run(_hurried(lay_out(mission).problem), 0.0).trajectory.duration_s
     except (InfeasibleError, SolverError):
         return math.inf
 
@@ -286,7 +294,7 @@ def _slower(problem: Problem, run: Run, fastest: Trajectory, arrival_s: float) -
             break
         speed = min(length / max(arrival_s - lost_s - 0.5 * SOON_S, 1e-3), top)
         try:
-            trial = run(_unhurried(problem), 0.5 * (top / speed) ** 3).trajectory
+            trial = run(_hurried(problem), 0.5 * (top / speed) ** 3).trajectory
         except (InfeasibleError, SolverError):
             break
         # What is lost at ends and handovers; the rest is the way over the speed.
