@@ -18,10 +18,13 @@ from typing import Literal
 
 import numpy as np
 
+from planner.arrays import Array
 from planner.certificate import certify
 from planner.corridor.corridor import build_corridor
 from planner.corridor.handover_polyline import polyline_along
+from planner.coverage.elevation_mask import ElevationMask
 from planner.coverage.overlap import overlap_depth_m
+from planner.coverage.window import Stations, leaves_s
 from planner.energy import cost_s, slowed_to_save
 from planner.errors import InfeasibleError, SolverError
 from planner.infeasibility.explanation import explain, no_way_from_moving_start, too_long
@@ -44,6 +47,8 @@ HOPELESS = 1.03
 # Sequences with fewer handovers planned at most, and with one number of handovers; and how much faster than expected,
 # as a part of the time, one may turn out to be.
 FEWER_TRIES, FEWER_TRIES_EACH, FEWER_HOPE = 8, 2, 0.002
+# Plans with wider overlaps tried at most.
+WIDER_TRIES = 5
 # Parts of an energy weight tried in turn, until the flight is short enough for the endurance.
 ENDURANCE_WEIGHTS = (1.0, 0.25, 0.05, 0.0)
 
@@ -153,6 +158,9 @@ class _Search:
         fastest = best
         if self.problem.handover_tolerance > 0.0 and len(best.sequence) > 1 and best.converged:
             fastest, best = self._fewer(best)
+        narrow = best
+        if self.problem.overlap_after_target_s > 0.0 and len(best.sequence) > 1 and best.converged:
+            best = self._wider(best)
         notes: tuple[str, ...] = ()
         if best.method != "joint":
             notes = ("the joint problem gave no better plan; this one is alternating minimisation's",)
@@ -161,12 +169,14 @@ class _Search:
         trajectory = levelled(self.problem, best.trajectory)
         certificate = best.certificate if trajectory is best.trajectory else certify(self.problem, trajectory)
         solution = Solution(trajectory, certificate, best.method, self.bound.time_s, best.iterations, notes)
+        solution = replace(solution, overlap_cost_s=max(0.0, best.duration_s - narrow.duration_s))
         if len(best.sequence) == len(fastest.sequence):
             return solution
         return replace(
             solution,
             fastest_s=fastest.duration_s,
             fastest_handovers=len(fastest.sequence) - 1,
+            fewer_cost_s=max(0.0, narrow.duration_s - fastest.duration_s),
         )
 
     def _free(self) -> tuple[list[tuple[int, ...]], Attempt | None]:
@@ -231,12 +241,50 @@ class _Search:
                     found.append(attempt)
             if not found:
                 return fastest, chosen
-            chosen = max(found, key=lambda attempt: _shallowest_m(self.problem, attempt.sequence))
+            chosen = max(
+                found, key=lambda attempt: float(_depths_m(self.problem, attempt.sequence).min(initial=np.inf))
+            )
             shorter = _without_one(self.problem, chosen.sequence)
 
-    def _joint(self, sequence: tuple[int, ...]) -> Attempt | None:
+    def _wider(self, narrow: Attempt) -> Attempt:
+        """The plan whose overlaps last as long after handovers as aimed at, wherever that is worth its price.
+
+        The dearest are taken to be those of the narrowest overlaps, and left out one after the other.
+        """
+        target_s, sequence = self.problem.overlap_after_target_s, narrow.sequence
+        depth = _depths_m(self.problem, sequence)
+        asked = self._left_after_s(narrow) < target_s
+        given_up = np.zeros_like(asked)
+        for _ in range(WIDER_TRIES):
+            if not asked.any() or not self.in_time():
+                break
+            wide = self._joint(sequence, tuple(np.where(asked, target_s, 0.0).tolist()))
+            if wide is not None and wide.converged:
+                cut_short = ~asked & ~given_up & (self._left_after_s(wide) < target_s)
+                dear = wide.cost_s - narrow.cost_s > asked.sum() * self.problem.price_s(narrow.cost_s)
+                if not dear and not cut_short.any():
+                    return wide
+                if not dear:
+                    asked |= cut_short
+                    continue
+            dearest = int(np.argmin(np.where(asked, depth, np.inf)))
+            asked[dearest], given_up[dearest] = False, True
+        return narrow
+
+    def _left_after_s(self, attempt: Attempt) -> Array:
+        """How long after every handover the station handed over from goes on covering."""
+        problem, trajectory = self.problem, attempt.trajectory
+        before, times = np.array(trajectory.sequence[:-1]), trajectory.handover_times_s
+        mask = ElevationMask.of(problem)
+        covering = Stations(
+            problem.station_positions_m[before], problem.ranges_m[before], None if mask is None else mask.at(before)
+        )
+        left: Array = leaves_s(trajectory, covering, times, ahead=True, slack_m=0.0) - times
+        return np.nan_to_num(left, nan=0.0)
+
+    def _joint(self, sequence: tuple[int, ...], after_s: tuple[float, ...] = ()) -> Attempt | None:
         effort = replace(self.strategy.effort, max_iterations=self.max_iterations)
-        return plan_joint(self.problem, sequence, effort, energy_weight=self.energy_weight)
+        return plan_joint(self.problem, sequence, effort, energy_weight=self.energy_weight, after_s=after_s)
 
     def _alternating(self, sequence: tuple[int, ...]) -> Attempt | None:
         return plan_alternating(self.problem, sequence, energy_weight=self.energy_weight)
@@ -276,10 +324,10 @@ def _without_one(problem: Problem, sequence: tuple[int, ...]) -> list[tuple[int,
     return [q for q in shorter if q and is_chain(problem, q)]
 
 
-def _shallowest_m(problem: Problem, sequence: tuple[int, ...]) -> float:
-    """How deep the narrowest overlap of a sequence is; infinite under one station."""
+def _depths_m(problem: Problem, sequence: tuple[int, ...]) -> Array:
+    """How deep every overlap of a sequence is ``(handovers,)``."""
     stations = np.array(sequence)
-    return float(overlap_depth_m(problem, stations[:-1], stations[1:]).min(initial=np.inf))
+    return np.asarray(overlap_depth_m(problem, stations[:-1], stations[1:]))
 
 
 def _cheapest(attempts: list[Attempt | None]) -> Attempt | None:

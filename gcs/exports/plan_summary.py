@@ -34,7 +34,7 @@ def summary(plan: Plan) -> str:
         f"  stations      {' > '.join(plan.station_ids)}  ({len(plan.handovers)} handovers)",
     ]
     if plan.fastest is not None:
-        fewer, later_s = plan.fastest.handovers - len(plan.handovers), plan.mission_time_s - plan.fastest.mission_time_s
+        fewer, later_s = plan.fastest.handovers - len(plan.handovers), plan.fastest.fewer_cost_s
         cost = f"for {later_s:.1f} s more" if later_s >= 0.05 else "for nothing"
         lines.append(f"  handovers     {fewer} fewer than in the fastest plan found, {cost}")
     if plan.handovers:

@@ -11,7 +11,7 @@ from gcs.errors import MissionInfeasible, PlanningFailed
 from gcs.geodesy.plane import Plane
 from gcs.geodesy.range_bounds import bound_speed_factor, height_factor, planning_elevation_deg
 from gcs.layout.mission_geometry import MissionGeometry, choose_plane
-from gcs.mission.model import Mission
+from gcs.mission.model import Mission, overlap_after_target_s
 from planner import Limits, Problem, ProblemError
 
 Array = NDArray[np.float64]
@@ -95,6 +95,7 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> PlanningProblem:
             min_tenure_s=options.min_tenure_s,
             max_handovers=options.max_handovers,
             handover_tolerance=options.handover_tolerance,
+            overlap_after_target_s=_after_target_s(mission),
             bound_ranges_m=None if geometry.is_local else bound[stations],
             bound_speed_factor=1.0 if geometry.is_local else k * bound_speed_factor(farthest, limits.min_alt_amsl_m),
             min_elevation_deg=elevation if (elevation > -90.0).any() else None,
@@ -104,6 +105,14 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> PlanningProblem:
     except ProblemError as error:
         raise PlanningFailed(f"the mission passed the door but makes no problem: {error}") from error
     return PlanningProblem(geometry, problem, stations)
+
+
+def _after_target_s(mission: Mission) -> float:
+    """The target of `overlap_after_target_s` in the ranges planned with: the margin taken off them comes on top."""
+    target_s = overlap_after_target_s(mission.options, mission.limits)
+    if any(station.min_elevation_deg is not None for station in mission.stations):
+        return target_s
+    return max(0.0, target_s - mission.options.range_margin_m / mission.limits.max_speed_m_s)
 
 
 def _no_airspeed(mission: Mission, standing_m_s: float) -> MissionInfeasible:

@@ -127,9 +127,12 @@ def with_options(mission: Mission, changes: Mapping[str, object]) -> Mission:
     document = write_mission(mission)
     options = document["options"]
     assert isinstance(options, dict)
-    if "min_overlap_s" in changes and mission.options.handover_tolerance == _tolerance(mission.options.min_overlap_s):
-        # The default follows the overlap.
-        del options["handover_tolerance"]
+    if "min_overlap_s" in changes:
+        # Defaults follow the overlap.
+        overlap_s = mission.options.min_overlap_s
+        for name, default in (("handover_tolerance", _tolerance(overlap_s)), ("overlap_target_s", _target(overlap_s))):
+            if options[name] == default:
+                del options[name]
     return read_mission({**document, "options": {**options, **changes}}, max_stations=len(mission.stations))
 
 
@@ -270,10 +273,25 @@ def _options(reader: Reader, station_ids: list[str]) -> MissionOptions:
         handover_tolerance=reader.number(
             "handover_tolerance", 0.0, 1.0, "(part of the mission time)", default=_tolerance(overlap_s)
         ),
+        overlap_target_s=_overlap_target(reader, overlap_s),
         objective=_objective(reader),
         start_state=_start_state(reader) if reader.has("start_state") else None,
         arrival_s=reader.optional_number("arrival_s", 0.0, MAX_TIME_S, "s", above_low=True),
     )
+
+
+def _overlap_target(reader: Reader, min_overlap_s: float) -> str | float:
+    value = reader.data.get("overlap_target_s")
+    if value is None:
+        return _target(min_overlap_s)
+    if isinstance(value, str):
+        return reader.choice("overlap_target_s", ("auto",), "auto")
+    return reader.number("overlap_target_s", 0.0, 3_600.0, "s")
+
+
+def _target(min_overlap_s: float) -> str | float:
+    """The default of ``overlap_target_s``."""
+    return MissionOptions().overlap_target_s if min_overlap_s > 0.0 else 0.0
 
 
 def _objective(reader: Reader) -> str | float:

@@ -219,9 +219,10 @@ def _read_costs(root: Reader, faults: FaultList) -> tuple[OptionCost, ...]:
 
 
 def _read_fastest(root: Reader) -> Fastest:
-    at = root.child("fastest", ("mission_time_s", "handovers"))
+    at = root.child("fastest", ("mission_time_s", "handovers", "fewer_cost_s"))
     time_s = at.number("mission_time_s", 0.0, _BIG, "s")
-    return Fastest(time_s, at.integer("handovers", 0, MAX_SEGMENTS, default=0) or 0)
+    handovers = at.integer("handovers", 0, MAX_SEGMENTS, default=0) or 0
+    return Fastest(time_s, handovers, at.number("fewer_cost_s", -_BIG, _BIG, "s"))
 
 
 def _is_number(value: object) -> bool:

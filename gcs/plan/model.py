@@ -43,10 +43,11 @@ class OptionCost:
 
 @dataclass(frozen=True)
 class Fastest:
-    """The fastest plan found, where the one made takes a little longer for fewer handovers: its time and handovers."""
+    """The fastest plan found, where the one made has fewer handovers: its time, its handovers, what fewer cost."""
 
     mission_time_s: float
     handovers: int
+    fewer_cost_s: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from gcs.errors import MissionInfeasible, PlanningFailed
-from gcs.mission.model import Mission, MissionLimits, MissionOptions
+from gcs.mission.model import Mission, MissionLimits, MissionOptions, overlap_after_target_s
 from gcs.plan.model import TOGETHER, OptionCost, Plan
 from gcs.planning.mission_planning import plan_mission
 from gcs.planning.solve import PlannerLike
@@ -41,7 +41,7 @@ def with_costs(
     """
     mission, given = plan.mission, _in_force(plan.mission)
     # What slows the fastest flight down hides what the others cost: they are held against the flight without it.
-    slowing = [one for one in given if one.option in ("arrival_s", "handover_tolerance")]
+    slowing = [one for one in given if one.option in ("arrival_s", "overlap_target_s", "handover_tolerance")]
     others = [one for one in given if one not in slowing]
     total = len(given) + (len(given) > 1)
     done = 0
@@ -102,6 +102,9 @@ def _in_force(mission: Mission) -> list[_Given]:
     add(options.min_tenure_s, "min_tenure_s", f"{options.min_tenure_s:g} s", _options(min_tenure_s=0.0))
     tolerance = options.handover_tolerance
     add(options.arrival_s, "arrival_s", f"{options.arrival_s} s", _options(arrival_s=None))
+    target = options.overlap_target_s
+    aimed = overlap_after_target_s(options, limits) > 0.5 * options.min_overlap_s
+    add(aimed, "overlap_target_s", f"{target}", _options(overlap_target_s=0.0))
     add(tolerance, "handover_tolerance", f"{tolerance:g}", _options(handover_tolerance=0.0))
     for name, unit in (("max_jerk_m_s3", "m/s^3"), ("max_climb_m_s", "m/s"), ("max_descent_m_s", "m/s")):
         value = getattr(limits, name)

@@ -110,7 +110,7 @@ def _unhurried(problem: Problem) -> Problem:
 
 def _hurried(problem: Problem) -> Problem:
     """As `_unhurried`, and the fastest plan whatever its handovers."""
-    return replace(_unhurried(problem), handover_tolerance=0.0)
+    return replace(_unhurried(problem), handover_tolerance=0.0, overlap_after_target_s=0.0)
 
 
 def _cheapest(laid: PlanningProblem, run: Run) -> Solution | None:

@@ -47,7 +47,10 @@ def place_joints(problem: Problem, corridor: Corridor, polyline_m: Array) -> Arr
         if len(own[-1].balls) > 1:
             inside[leg, 1] = _overlap_length_m(problem, own[-1], polyline_m[leg + 1], -heading, length[leg])
         inside[leg] *= min(1.0, length[leg] / max(float(inside[leg].sum()), 1e-12))
-    speed = _handover_speeds(problem, step / length[:, None], length, inside)
+    asked_s = np.array(
+        [pieces[k][-1].min_duration_s + pieces[k + 1][0].min_duration_s for k in range(legs - 1)], dtype=float
+    )
+    speed = _handover_speeds(problem, step / length[:, None], length, inside, asked_s)
     points = [polyline_m[:1]]
     for leg, own in enumerate(pieces):
         entry, leave = len(own[0].balls) > 1, len(own[-1].balls) > 1
@@ -67,15 +70,15 @@ def _overlap_length_m(problem: Problem, piece: Piece, at: Array, heading: Array,
     return max(float(min(0.99 * room, problem.limits.max_speed_m_s * piece.min_duration_s, length)), 0.0)
 
 
-def _handover_speeds(problem: Problem, heading: Array, length: Array, inside: Array) -> Array:
-    """``(legs + 1,)``: speed expected at the ends of the legs."""
+def _handover_speeds(problem: Problem, heading: Array, length: Array, inside: Array, asked_s: Array) -> Array:
+    """``(legs + 1,)``: speed expected at the ends of the legs; ``asked_s`` to spend in each overlap."""
     limits = problem.limits
     accel = STRAIGHT_ACCEL * limits.max_accel_m_s2
     bend = np.arccos(np.clip((heading[:-1] * heading[1:]).sum(axis=1), -1.0, 1.0))
     room = np.minimum(length[:-1], length[1:])
     around = np.sqrt(BEND_ACCEL * limits.max_accel_m_s2 * room / np.maximum(bend, 1e-6))
-    if problem.min_overlap_s > 0.0:
-        around = np.minimum(around, (inside[:-1, 1] + inside[1:, 0]) / problem.min_overlap_s)
+    within = asked_s > 0.0
+    around[within] = np.minimum(around, (inside[:-1, 1] + inside[1:, 0]) / np.where(within, asked_s, 1.0))[within]
     around = np.clip(around, 1e-3 * limits.max_speed_m_s, limits.max_speed_m_s)
     start = min(float(np.linalg.norm(problem.start_velocity_m_s)), limits.max_speed_m_s)
     return speed_profile(np.concatenate([[start], around, [0.0]]), length, accel)

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gcs.errors import MissionError
 from gcs.exports.plan_summary import summary
 from gcs.mission import read_mission
 from gcs.mission.document import with_options
+from gcs.mission.model import overlap_after_target_s
 from gcs.plan import read_plan
 from gcs.plan.model import Plan
 from gcs.planning import plan_mission, with_costs
@@ -49,7 +51,8 @@ def fastest_s(document: dict[str, Any]) -> float:
     [("handovers_1030", 10), ("handovers_1040", 12), ("handovers_1045", 4), ("wadden_relay", 6)],
 )
 def test_needless_handovers_go(name: str, handovers: int) -> None:
-    plan = planned(given(name))
+    assert len(planned(given(name)).handovers) <= handovers
+    plan = planned(given(name), overlap_target_s=0)
     assert len(plan.handovers) <= handovers
     fastest = fastest_s(given(name))
     assert plan.mission_time_s <= fastest + max(0.001 * fastest, 1.0) + 1e-6
@@ -72,7 +75,9 @@ def test_the_plan_says_what_fewer_handovers_cost() -> None:
     fewer = plan.fastest.handovers - len(plan.handovers)
     assert f"{fewer} fewer than in the fastest plan found" in summary(plan)
     costs = {cost.option: cost.cost_s for cost in with_costs(plan).costs}
-    assert costs["handover_tolerance"] == pytest.approx(plan.mission_time_s - plan.fastest.mission_time_s, abs=1e-6)
+    assert costs["handover_tolerance"] == pytest.approx(plan.fastest.fewer_cost_s, abs=1e-6)
+    both_s = plan.mission_time_s - plan.fastest.mission_time_s
+    assert costs["overlap_target_s"] == pytest.approx(both_s - plan.fastest.fewer_cost_s, abs=1e-6)
 
 
 def test_more_tolerance_never_more_handovers() -> None:
@@ -150,3 +155,32 @@ def test_relaxations_drawn(name: str, seed: int) -> None:
     mission = read_mission(asked)
     loose = plan_mission(replace(mission, options=replace(mission.options, handover_tolerance=0.0)))
     assert loose.mission_time_s <= MONOTONIC * strict.mission_time_s
+
+
+def test_the_overlap_aimed_at_is_reached_where_it_costs_little() -> None:
+    """Enough after every handover to notice a failed station and to stop, at 0.1 % of the time each, at most."""
+    narrow, wide = planned(given("wadden_relay"), overlap_target_s=0), planned(given("wadden_relay"))
+    target_s = overlap_after_target_s(wide.mission.options, wide.mission.limits)
+    assert min(h.overlap_end_s - h.time_s for h in narrow.handovers) < 5.0
+    assert min(h.overlap_end_s - h.time_s for h in wide.handovers) >= target_s - 1e-6
+    assert wide.mission_time_s <= narrow.mission_time_s + len(wide.handovers) * 0.001 * narrow.mission_time_s
+    assert any("overlaps as long as aimed at" in note for note in wide.notes)
+
+
+def test_the_plan_names_the_handovers_that_fall_short() -> None:
+    plan = planned(given("wadden_relay"), overlap_target_s=200)
+    short = [h.index for h in plan.handovers if h.overlap_end_s - h.time_s < 197.5]
+    assert short
+    (note,) = [note for note in plan.notes if "fall short of 197.5 s" in note]
+    assert all(f"{index} (" in note for index in short)
+
+
+def test_the_target_may_be_given_and_follows_the_overlap() -> None:
+    mission = read_mission(given("wadden_relay"))
+    assert mission.options.overlap_target_s == "auto"
+    assert with_options(mission, {"min_overlap_s": 0}).options.overlap_target_s == 0.0
+    assert with_options(mission, {"overlap_target_s": 12}).options.overlap_target_s == 12.0
+    with pytest.raises(MissionError):
+        with_options(mission, {"overlap_target_s": "wide"})
+    with pytest.raises(MissionError):
+        with_options(mission, {"overlap_target_s": -1})
