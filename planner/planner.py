@@ -27,7 +27,8 @@ from planner.coverage.overlap import overlap_depth_m
 from planner.coverage.window import Stations, leaves_s
 from planner.energy import cost_s, slowed_to_save
 from planner.errors import InfeasibleError, SolverError
-from planner.infeasibility.explanation import explain, no_way_from_moving_start, too_long
+from planner.infeasibility.explanation import infeasibility_of
+from planner.infeasibility.limit_faults import no_way_from_moving_start, too_long
 from planner.joint.levelling import levelled
 from planner.joint.sequence_planner import Attempt, Effort, plan_joint
 from planner.paper.alternating import plan_paper
@@ -106,7 +107,7 @@ class Planner:
         started = self._clock()
         bound = lower_bound(problem)
         route = None if problem.handovers_cost_time else geodesic_route(problem, bound)
-        infeasibility = explain(problem, bound, chained=route is not None)
+        infeasibility = infeasibility_of(problem, bound.time_s, chained=route is not None)
         if infeasibility is not None:
             raise InfeasibleError(infeasibility)
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from gcs.errors import MissionInfeasible, PlanningFailed
+from gcs.errors import Finding, PlanningFailed
+from gcs.layout.problem_planner import PlannerLike
 from gcs.mission.model import Mission, MissionLimits, MissionOptions, overlap_after_target_s
 from gcs.plan.model import TOGETHER, OptionCost, Plan
-from gcs.planning.mission_planning import plan_mission
-from gcs.planning.solve import PlannerLike
+from gcs.planning.mission_planning import PlanningMethod, find_plan, problem_planner
 from planner import Method
 
 Step = Callable[[int, int], None]
@@ -40,6 +40,7 @@ def with_costs(
     many there are. The document is another one than without costs, and so is its hash.
     """
     mission, given = plan.mission, _in_force(plan.mission)
+    how = PlanningMethod(problem_planner(planner, method))
     # What slows the fastest flight down hides what the others cost: they are held against the flight without it.
     slowing = [one for one in given if one.option in ("arrival_s", "overlap_target_s", "handover_tolerance")]
     others = [one for one in given if one not in slowing]
@@ -52,8 +53,8 @@ def with_costs(
             step(done, total)
         done += 1
         try:
-            return plan_mission(of, method=method, planner=planner).mission_time_s
-        except (MissionInfeasible, PlanningFailed):
+            return find_plan(of, how).mission_time_s
+        except (Finding, PlanningFailed):
             return None
 
     base_s: float | None = plan.mission_time_s

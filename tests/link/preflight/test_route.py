@@ -16,10 +16,10 @@ from gcs.planning.mission_planning import plan_mission
 from link.handover.handover_chain import TAKEOVER_SHARE
 from link.preflight.check import Level
 from link.preflight.route import HANDED_OVER_S, judge_lowest, judge_stops
-from tests.support.flight_plans import relay_document, relay_plan
-from tests.support.ground_flight import checks, on_ground
+from tests.support.flights.on_ground import checks, on_ground
+from tests.support.flights.virtual import VirtualFlight
 from tests.support.paths import MISSIONS
-from tests.support.virtual_flight import VirtualFlight
+from tests.support.plans.planned import relay_document, relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
