@@ -50,7 +50,7 @@ def numbers(where: str, text: str | None, count: int) -> tuple[float, ...] | Non
 
 
 def with_negative_values(arguments: Sequence[str]) -> list[str]:
-    """``--home -35.3,149.1,584`` as ``--home=-35.3,...``: argparse takes a list of numbers with a minus for an option."""
+    """``--home -35.3,149.1,584`` as ``--home=-35.3,...``: argparse takes numbers with a minus for an option."""
     joined: list[str] = []
     for argument in arguments:
         if joined and re.match(r"-[\d.]", argument) and joined[-1].startswith("--") and "=" not in joined[-1]:
