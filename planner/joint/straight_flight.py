@@ -44,11 +44,11 @@ class _Ramp:
 def straight_flight(problem: Problem, station: int) -> Trajectory | None:
     """From rest to rest along the line from start to destination, under ``station``; certified by the caller.
 
-    None where the flight does not start at rest, or does not move, or the wind leaves no way to.
+    None where the flight does not start at rest, or does not move, or the wind leaves no way to, or differs by place.
     """
     way = problem.destination_m - problem.start_m
     length = float(np.linalg.norm(way))
-    if not problem.starts_at_rest or length <= 0.0:
+    if not problem.starts_at_rest or length <= 0.0 or problem.wind is not None:
         return None
     heading = way / length
     top = _top_speed_m_s(problem.limits, heading)
