@@ -25,8 +25,8 @@ STATUSES = ("queued", "planning", "planned", "infeasible", "failed")
 class MissionRecord:
     """One version of a mission, as stored; ``number`` orders missions by their making.
 
-    ``phase`` is a word about the status (e.g. ``"scheduling"``), ``progress`` from 0 to 1. ``infeasibility`` is
-    `MissionInfeasible.to_document`; ``error`` says what failed.
+    ``phase`` is a word about the status (e.g. ``"scheduling"``), ``progress`` from 0 to 1. ``mission_time_s`` and
+    ``handover_count`` are the plan's. ``infeasibility`` is `MissionInfeasible.to_document`; ``error`` says what failed.
     """
 
     number: int
@@ -38,6 +38,8 @@ class MissionRecord:
     phase: str
     progress: float
     plan_sha256: str | None
+    mission_time_s: float | None
+    handover_count: int | None
     infeasibility: dict[str, Any] | None
     error: str | None
     created_utc: str
@@ -74,12 +76,16 @@ _RECORD = (
     mission_versions.c.phase,
     mission_versions.c.progress,
     mission_versions.c.plan_sha256,
+    mission_versions.c.mission_time_s,
+    mission_versions.c.handover_count,
     mission_versions.c.infeasibility,
     mission_versions.c.error,
     mission_versions.c.created_utc,
     mission_versions.c.changed_utc,
     missions.c.archived_utc,
 )
+# More than any number of a row.
+_NEWEST = 2**63 - 1
 _JOINED = missions.join(mission_versions, missions.c.id == mission_versions.c.mission_id)
 
 
@@ -111,10 +117,12 @@ class MissionStore:
                 return known, False
             self._check_queue(connection, max_queued)
             mission_id, now = self._new_id(), stored_utc(self._clock())
-            connection.execute(
-                insert(missions).values(id=mission_id, name=str(document["name"]), latest_version=1, created_utc=now)
+            made = connection.execute(
+                insert(missions)
+                .values(id=mission_id, name=str(document["name"]), latest_version=1, created_utc=now)
+                .returning(missions.c.number)
             )
-            self._add_version(connection, mission_id, 1, document, now, idempotency)
+            self._add_version(connection, (mission_id, 1, made.scalar_one()), document, now, idempotency)
             return self._get(connection, mission_id, None), True
 
     def add_version(
@@ -140,18 +148,23 @@ class MissionStore:
                 .where(missions.c.id == mission_id)
                 .values(latest_version=version, name=str(document["name"]))
             )
-            self._add_version(connection, mission_id, version, document, now, idempotency)
+            connection.execute(
+                update(mission_versions)
+                .where(mission_versions.c.latest_number == record.number)
+                .values(latest_number=None, listed_number=None)
+            )
+            self._add_version(connection, (mission_id, version, record.number), document, now, idempotency)
             return self._get(connection, mission_id, None), True
 
     def _add_version(
         self,
         connection: Connection,
-        mission_id: str,
-        version: int,
+        latest: tuple[str, int, int],
         document: Mapping[str, Any],
         now: str,
         idempotency: Idempotency | None,
     ) -> None:
+        mission_id, version, number = latest
         connection.execute(
             insert(mission_versions).values(
                 mission_id=mission_id,
@@ -162,6 +175,8 @@ class MissionStore:
                 progress=0.0,
                 created_utc=now,
                 changed_utc=now,
+                latest_number=number,
+                listed_number=number,
             )
         )
         if idempotency is not None:
@@ -242,21 +257,12 @@ class MissionStore:
         self, *, limit: int = 50, before: int | None = None, archived: bool = False, status: str | None = None
     ) -> list[MissionRecord]:
         """Latest versions, newest mission first, at most ``limit``, those with ``number`` below ``before``."""
-        query = (
-            select(*_RECORD)
-            .select_from(_JOINED)
-            .where(mission_versions.c.version == missions.c.latest_version)
-            .order_by(missions.c.number.desc())
-            .limit(limit)
-        )
-        if before is not None:
-            query = query.where(missions.c.number < before)
-        if not archived:
-            query = query.where(missions.c.archived_utc.is_(None))
+        order = mission_versions.c.latest_number if archived else mission_versions.c.listed_number
+        query = select(*_RECORD).select_from(_JOINED).where(order < (_NEWEST if before is None else before))
         if status is not None:
             query = query.where(mission_versions.c.status == status)
         with self._db.read() as connection:
-            return [_record(row._mapping) for row in connection.execute(query)]
+            return [_record(row._mapping) for row in connection.execute(query.order_by(order.desc()).limit(limit))]
 
     def versions(self, mission_id: str) -> list[MissionRecord]:
         """Every version of a mission, oldest first. Raises `NotFoundError`."""
@@ -297,6 +303,11 @@ class MissionStore:
                 raise ConflictError(f"flight {using.id} uses mission {mission_id} and has not ended")
             now = stored_utc(self._clock())
             connection.execute(update(missions).where(missions.c.id == mission_id).values(archived_utc=now))
+            connection.execute(
+                update(mission_versions)
+                .where(mission_versions.c.latest_number == record.number)
+                .values(listed_number=None)
+            )
             self._give_up(connection, mission_id, None, "archived", now)
             return self._get(connection, mission_id, None)
 

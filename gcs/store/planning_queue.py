@@ -102,6 +102,7 @@ class PlanningQueue:
 
     def finish(self, claim: Claim, owner: str, plan: Mapping[str, Any]) -> bool:
         """Store the plan; False when the planning is no longer ``owner``'s."""
+        handovers = plan.get("handovers")
         return self._settle(
             claim,
             owner,
@@ -110,6 +111,8 @@ class PlanningQueue:
             progress=1.0,
             plan=dump(plan),
             plan_sha256=str(plan["plan_sha256"]),
+            mission_time_s=plan.get("mission_time_s"),
+            handover_count=None if handovers is None else len(handovers),
             owner=None,
         )
 

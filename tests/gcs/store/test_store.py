@@ -19,6 +19,7 @@ from gcs.errors import ConflictError, MissionInfeasible, NotFoundError, QueueFul
 from gcs.flight import EventKind, FlightEvent, FlightState
 from gcs.mission import read_mission, write_mission
 from gcs.settings import Settings
+from gcs.store.database import HEAD
 from gcs.store.missions import Idempotency
 from gcs.store.store import Store
 from gcs.store.tables import metadata
@@ -86,7 +87,7 @@ def test_migrations_make_the_tables_the_code_speaks_of(store: Store) -> None:
 def test_opening_again_changes_nothing(url: str, store: Store) -> None:
     mission_id = planned(store)
     with Store(url) as again:
-        assert again.database.revision() == "0001"
+        assert again.database.revision() == HEAD
         assert again.missions.plan(mission_id) == {"plan_sha256": HASH, "x": 1.0000000000000002}
 
 
