@@ -6,6 +6,7 @@ Each can be given as an environment variable ``SKYRELAY_<NAME>`` (case does not 
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -27,8 +28,8 @@ class Settings(BaseSettings):
     data_dir: Path = Field(default_factory=default_data_dir, description="Database, logs and signing stamps live here.")
     database_url: str | None = Field(
         default=None,
-        description="SQLAlchemy address of the database; default a SQLite file in data_dir. PostgreSQL serves several "
-        "planners on several machines.",
+        description="Address of the database, postgresql://USER@HOST/DATABASE or sqlite:///FILE; default a SQLite file "
+        "in data_dir. PostgreSQL serves several planners on several machines.",
     )
     planner_processes: int = Field(
         default_factory=lambda: max(1, min(4, (os.cpu_count() or 2) - 1)),
@@ -62,6 +63,11 @@ class Settings(BaseSettings):
     def url(self) -> str:
         """The database's address, whether given or not."""
         return self.database_url or f"sqlite:///{self.data_dir / 'skyrelay.db'}"
+
+    @property
+    def shown_url(self) -> str:
+        """The database's address for people and logs: without its password."""
+        return re.sub(r"(?<=://)([^:@/]*):[^@]*@", r"\1:***@", self.url)
 
     def prepare(self) -> None:
         """Make ``data_dir``, for its owner alone. Raises ``OSError``."""

@@ -61,7 +61,10 @@ class FlightStore:
         Raises `NotFoundError` for an unknown version; `ConflictError` when that version has no plan, or another one
         than ``plan_sha256``, or the vehicle flies already.
         """
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            # The same names and order everywhere: what is judged here stays so until the flight is there.
+            self._db.lock(connection, "mission", mission_id)
+            self._db.lock(connection, "flights of", vehicle_id)
             planned = connection.execute(
                 select(mission_versions.c.status, mission_versions.c.plan_sha256).where(
                     mission_versions.c.mission_id == mission_id, mission_versions.c.version == version

@@ -111,7 +111,7 @@ class MissionStore:
         With a key seen before, the record made then. Raises `ConflictError` when that was for another request, and
         `QueueFullError` when ``max_queued`` missions wait already.
         """
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             known = self._known(connection, idempotency)
             if known is not None:
                 return known, False
@@ -134,10 +134,11 @@ class MissionStore:
         max_queued: int | None = None,
     ) -> tuple[MissionRecord, bool]:
         """A new version of a mission, queued; otherwise as `add`. Raises `ConflictError` when it is archived."""
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             known = self._known(connection, idempotency)
             if known is not None:
                 return known, False
+            self._db.lock(connection, "mission", mission_id)
             record = self._get(connection, mission_id, None)
             if record.archived_utc is not None:
                 raise ConflictError(f"mission {mission_id} is archived; make a new mission")
@@ -194,6 +195,7 @@ class MissionStore:
     def _known(self, connection: Connection, idempotency: Idempotency | None) -> MissionRecord | None:
         if idempotency is None:
             return None
+        self._db.lock(connection, "idempotency", idempotency.scope, idempotency.key)
         found = connection.execute(
             select(idempotency_keys).where(
                 idempotency_keys.c.scope == idempotency.scope, idempotency_keys.c.key == idempotency.key
@@ -292,7 +294,8 @@ class MissionStore:
 
         Raises `NotFoundError`, and `ConflictError` while a flight that has not ended uses it.
         """
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            self._db.lock(connection, "mission", mission_id)
             record = self._get(connection, mission_id, None)
             if record.archived_utc is not None:
                 return record
@@ -313,7 +316,7 @@ class MissionStore:
 
     def cancel(self, mission_id: str, version: int | None = None) -> bool:
         """Give up the planning of a version that is not done yet; whether there was anything to give up."""
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             record = self._get(connection, mission_id, version)
             return self._give_up(connection, mission_id, record.version, "cancelled", stored_utc(self._clock())) > 0
 

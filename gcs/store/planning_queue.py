@@ -38,7 +38,7 @@ class PlanningQueue:
 
     def claim(self, owner: str, lease_s: float) -> Claim | None:
         """Take the version that has waited longest, for ``lease_s`` seconds; None when none waits."""
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             found = connection.execute(
                 select(
                     mission_versions.c.number,
@@ -72,7 +72,7 @@ class PlanningQueue:
     def renew(self, owner: str, lease_s: float) -> int:
         """Lengthen every lease of ``owner``; how many there are."""
         until = stored_utc(self._clock() + timedelta(seconds=lease_s))
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             return connection.execute(
                 update(mission_versions)
                 .where(mission_versions.c.owner == owner, mission_versions.c.status == "planning")
@@ -89,7 +89,7 @@ class PlanningQueue:
         """Queue again what ``owner`` was planning; without an owner, what leases have run out on. How many."""
         now = stored_utc(self._clock())
         whose = mission_versions.c.owner == owner if owner is not None else mission_versions.c.lease_utc < now
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             return connection.execute(
                 update(mission_versions)
                 .where(mission_versions.c.status == "planning", whose)
@@ -133,7 +133,7 @@ class PlanningQueue:
         return self._settle(claim, owner, status="failed", phase="failed", error=error[:10_000], owner=None)
 
     def _settle(self, claim: Claim, by: str, **values: object) -> bool:
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             done = connection.execute(
                 update(mission_versions)
                 .where(

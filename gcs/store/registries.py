@@ -45,7 +45,8 @@ class RegistryStore:
         """
         _check_kind(kind)
         here = (registry.c.kind == kind) & (registry.c.id == entry_id)
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            self._db.lock(connection, kind, entry_id)
             found = connection.execute(select(registry).where(here)).first()
             present = 0 if found is None else int(found.revision)
             if revision is not None and revision != present:
@@ -81,7 +82,7 @@ class RegistryStore:
     def remove(self, kind: str, entry_id: str) -> None:
         """Forget an entry. Raises `NotFoundError`."""
         _check_kind(kind)
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             gone = connection.execute(
                 delete(registry).where(registry.c.kind == kind, registry.c.id == entry_id)
             ).rowcount

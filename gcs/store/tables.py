@@ -34,6 +34,8 @@ metadata = MetaData(
 _Number = BigInteger().with_variant(Integer, "sqlite")
 _Time = String(32)
 _Id = String(64)
+# In the order of its characters, whatever the locale of the database.
+_Sorted = String(64).with_variant(String(64, collation="C"), "postgresql")
 
 missions = Table(
     "missions",
@@ -97,7 +99,7 @@ registry = Table(
     "registry",
     metadata,
     Column("kind", String(16), primary_key=True),
-    Column("id", _Id, primary_key=True),
+    Column("id", _Sorted, primary_key=True),
     Column("document", Text, nullable=False),
     Column("revision", Integer, nullable=False),
     Column("created_utc", _Time, nullable=False),

@@ -76,19 +76,33 @@ def _check_store(settings: Settings) -> None:
     from gcs.errors import StoreUnavailable
     from gcs.store import Store
 
-    fix = "name another place with --data, or restore a safety copy"
     try:
         settings.prepare()
-        Store(settings.url, lock_timeout_s=settings.lock_timeout_s).close()
     except OSError as error:
-        what = error.strerror or str(error)
         raise BadInputError(
-            "the data cannot be kept there", {"where": str(settings.data_dir), "what": what, "fix": fix}
+            "the data cannot be kept there",
+            {
+                "where": str(settings.data_dir),
+                "what": error.strerror or str(error),
+                "fix": "name another place with --data, or restore a safety copy",
+            },
         ) from None
+    try:
+        Store(settings.url, lock_timeout_s=settings.lock_timeout_s).close()
     except StoreUnavailable as error:
         raise BadInputError(
-            "the store cannot be used", {"where": str(settings.data_dir), "what": str(error), "fix": fix}
+            "the store cannot be used",
+            {"where": settings.shown_url, "what": str(error), "fix": _store_fix(settings)},
         ) from None
+
+
+def _store_fix(settings: Settings) -> str:
+    if settings.database_url is None:
+        return "name another place with --data, or restore a safety copy (`skyrelay restore`)"
+    return (
+        "start the database there, or correct SKYRELAY_DATABASE_URL: postgresql://USER@HOST/DATABASE; without it the "
+        "missions are kept in a file"
+    )
 
 
 def _is_loopback(host: str) -> bool:

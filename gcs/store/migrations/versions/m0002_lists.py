@@ -40,6 +40,8 @@ def upgrade() -> None:
     )
     op.bulk_insert(probe, [{"id": 1, "checked_utc": None}])
     if op.get_bind().dialect.name != "sqlite":
+        # In the order of its characters, as SQLite has it.
+        op.execute('ALTER TABLE registry ALTER COLUMN id TYPE varchar(64) COLLATE "C"')
         # The same class of error as SQLite's.
         op.execute(
             "CREATE OR REPLACE FUNCTION flight_events_append_only() RETURNS trigger LANGUAGE plpgsql AS "
