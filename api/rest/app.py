@@ -33,10 +33,12 @@ def create_app(settings: Settings) -> FastAPI:
         openapi_url=None,  # served by `health`, with problem documents described on every operation
         docs_url=None,  # FastAPI's own pages load scripts from elsewhere
         redoc_url=None,
+        strict_content_type=False,  # `bodies` judges it, for every route alike
     )
-    for routes in (missions, plans, registries, flights, health, page):
-        app.include_router(routes.router)
-    problems.install(app)
+    routers = [module.router for module in (missions, plans, registries, flights, health, page)]
+    for router in routers:
+        app.include_router(router)
+    problems.install(app, [route for router in routers for route in router.routes])
     describe(app)
     # The last one added is the outermost.
     app.add_middleware(BodyLimit, limit_bytes=settings.max_document_bytes)

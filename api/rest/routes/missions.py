@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
 from api.rest import schemas
+from api.rest.bodies import StrictRoute
 from api.rest.dependencies import Wired
 from api.rest.routes import shared
 from api.rest.routes.shared import Cursor, IdempotencyKey, Limit, MissionId, RawBody, Version
@@ -22,7 +23,7 @@ from gcs.mission import parse_mission_json, write_mission
 from gcs.store import MissionRecord
 from link.files import FORMATS as SETPOINT_FORMATS
 
-router = APIRouter(prefix="/v1/missions", tags=["missions"])
+router = APIRouter(prefix="/v1/missions", tags=["missions"], route_class=StrictRoute)
 
 FORMATS = {"handovers": list(HANDOVER_FORMATS), "setpoints": list(SETPOINT_FORMATS), "export": list[str]()}
 # Events are pushed; this often the store is looked at as well, for planners that run elsewhere.

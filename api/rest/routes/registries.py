@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from starlette.responses import JSONResponse, Response
 
 from api.rest import schemas
+from api.rest.bodies import StrictRoute
 from api.rest.dependencies import Wired
 from api.rest.problems import NotFoundError, UnprocessableError
 from api.rest.routes import shared
@@ -20,7 +21,7 @@ from gcs.store import Entry
 from link.errors import EndpointUrlError
 from link.transport import parse_url
 
-router = APIRouter(prefix="/v1", tags=["registries"])
+router = APIRouter(prefix="/v1", tags=["registries"], route_class=StrictRoute)
 
 EntryId = Annotated[
     str,
@@ -31,7 +32,10 @@ EntryId = Annotated[
         examples=["den-helder"],
     ),
 ]
-After = Annotated[str | None, Query(max_length=64, alias="cursor", description="`next` of the page before.")]
+After = Annotated[
+    str | None,
+    Query(max_length=64, pattern=schemas.ENTRY_ID, alias="cursor", description="`next` of the page before."),
+]
 IfMatch = Annotated[
     str | None,
     Header(
