@@ -4,6 +4,7 @@ GcsError
 ├── MissionError        a mission document is malformed: every fault at once, each with its place (bad input)
 ├── PlanError           a plan document is malformed, altered, or not of this product (bad input)
 ├── ExportError         an export was asked for in a way that makes no sense (bad input)
+├── Finding             why a mission cannot be flown, not explained yet: never leaves `gcs.planning`
 ├── MissionInfeasible   a sound mission that no flight can fulfil: why, where, by how much, the smallest fix
 ├── PlanningFailed      every planning method gave up, or a result failed its own check (a fault of ours)
 ├── PlanningCancelled   somebody asked for the planning to stop
@@ -102,6 +103,13 @@ class PlanError(GcsError, ValueError):
 
 class ExportError(GcsError, ValueError):
     """An export was asked for in a way that makes no sense: unknown format or station, bad launch time."""
+
+
+class Finding(GcsError):  # noqa: N818 - reads as what was found
+    """A mission cannot be flown, and this is what showed it; nobody has looked yet for what would help.
+
+    `gcs.planning` explains it to its callers, as `MissionInfeasible`.
+    """
 
 
 class MissionInfeasible(GcsError):  # noqa: N818 - the name is part of the interface

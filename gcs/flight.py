@@ -209,8 +209,7 @@ class OperatorCommand(StrEnum):
     """As `READY`, and takes back a refusal."""
     REFUSE = "refuse"
     REPLAN = "replan"
-    """Fly another plan, which has been made for this flight from a moment ahead (`gcs.planning.replan`), from now on.
-    """
+    """Fly another plan from now on, made for this flight from a moment ahead (`gcs.planning.replanning`)."""
     AUTHORISE = "authorise"
     """The flight may go on up to a given T+ of the plan, parent or no parent."""
 

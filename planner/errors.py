@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from planner.remedy import Point, RaiseLimit, Remedy
+
 
 class PlannerError(Exception):
     """Base of everything the planner raises on purpose."""
@@ -30,16 +32,22 @@ class Infeasibility:
     ``reason`` is one of ``"start_uncovered"``, ``"destination_uncovered"``, ``"start_altitude"``,
     ``"destination_altitude"``, ``"broken_chain"``, ``"limits"``. ``stations`` are station indices of the
     problem (none, one or two). ``gap_m`` is how much range is missing between the two stations, or between
-    the station and the point. ``position_m`` ``(3,)`` is where. ``fix`` is the smallest single remedy as
-    data, e.g. ``{"action": "raise_range", "station": 3, "by_m": 12.5}``; station indices as above.
+    the station and the point. ``position_m`` is where. ``remedies`` each cure everything: the smallest of its kind
+    first, others of different kinds after it; there may be none.
     """
 
     reason: str
     message: str
     stations: tuple[int, ...] = ()
     gap_m: float | None = None
-    position_m: tuple[float, float, float] | None = None
-    fix: dict[str, object] | None = None
+    position_m: Point | None = None
+    remedies: tuple[Remedy, ...] = ()
+
+    @property
+    def limit(self) -> str | None:
+        """The limit that the first remedy raises; None where that is something else."""
+        first = self.remedies[0][0] if self.remedies else None
+        return first.limit if isinstance(first, RaiseLimit) else None
 
 
 class InfeasibleError(PlannerError):

@@ -20,7 +20,8 @@ from planner.corridor.corridor import build_corridor
 from planner.corridor.handover_polyline import polyline_along
 from planner.energy import cost_s, slowed_to_save
 from planner.errors import InfeasibleError, SolverError
-from planner.infeasibility.explanation import explain, no_way_from_moving_start, too_long
+from planner.infeasibility.explanation import infeasibility_of
+from planner.infeasibility.limit_faults import no_way_from_moving_start, too_long
 from planner.joint.sequence_planner import Attempt, Effort, plan_joint
 from planner.paper.alternating import plan_paper
 from planner.problem import Problem
@@ -93,7 +94,7 @@ class Planner:
         started = self._clock()
         bound = lower_bound(problem)
         route = None if problem.handovers_cost_time else geodesic_route(problem, bound)
-        infeasibility = explain(problem, bound, chained=route is not None)
+        infeasibility = infeasibility_of(problem, bound.time_s, chained=route is not None)
         if infeasibility is not None:
             raise InfeasibleError(infeasibility)
 

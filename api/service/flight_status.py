@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gcs.flight import EventKind, FlightEvent, FlightState
+from link.transport import Sender
 
 # Nothing is armed in these: to the outside one state, `preflight`.
 ON_THE_GROUND = (FlightState.CONNECTING, FlightState.IDENTIFYING, FlightState.PREFLIGHT, FlightState.READY)
@@ -109,5 +110,5 @@ class FlightStatus:
 
 
 def _name(station: object) -> str | None:
-    # The wire layer marks a station that speaks with the vehicle's own id with "!".
-    return None if station is None else str(station).rstrip("!")
+    # Under whichever id it speaks.
+    return None if station is None else Sender.from_text(str(station)).station_id

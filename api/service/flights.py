@@ -26,6 +26,7 @@ from gcs.plan import Plan
 from gcs.settings import Settings
 from gcs.store import FlightRecord, Store
 from gcs.timestamps import utc_now_text
+from link.director import PREFLIGHT_VALID_S
 from link.errors import LinkError, SupervisorError
 from link.session import FlightRequest
 from link.streamer import RunningFlight, attach, start_flight
@@ -34,7 +35,6 @@ log = structlog.get_logger("api.flights")
 
 # Where the vehicle is comes once a second; the history keeps one so often (wall seconds).
 _KEEP_PROGRESS_S = 5.0
-PREFLIGHT_VALID_S = 60.0
 _PROPOSALS_KEPT = 20
 
 
@@ -60,7 +60,6 @@ class _Watched:
     """A flight whose streamer runs, as far as known. ``flight`` is None until it is connected."""
 
     status: FlightStatus
-    speedup: float
     flight: RunningFlight | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -86,9 +85,8 @@ class FlightService:
         """
         vehicle = self._store.registry.get("vehicle", vehicle_id).document
         links = self._links(plan, vehicle)
-        request = FlightRequest(
-            plan=plan.to_document(), autopilot=vehicle["autopilot"], links=links, auto_launch=False, **options
-        )
+        asked = {"plan": plan.to_document(), "autopilot": vehicle["autopilot"], "links": links, "auto_launch": False}
+        request = FlightRequest.from_document({**asked, **options})
         record = self._store.flights.add(
             mission_id=mission_id,
             version=version,
@@ -99,7 +97,7 @@ class FlightService:
         folder = self._folder(record.id)
         document = {**record.document, "run_dir": str(folder)}
         record = self._store.flights.update(record.id, document)
-        watched = self._watched[record.id] = _Watched(FlightStatus(), request.speedup)
+        watched = self._watched[record.id] = _Watched(FlightStatus())
         try:
             sent = replace(request, flight_id=record.id, log_path=str(folder / "flight.tlog"))
             watched.flight = start_flight(
@@ -159,7 +157,7 @@ class FlightService:
     def _reattach(self, record: FlightRecord) -> None:
         folder = Path(record.document.get("run_dir") or "/nonexistent")
         status = self._status_of(record.id)
-        watched = _Watched(status, float(record.document.get("options", {}).get("speedup", 1.0)))
+        watched = _Watched(status)
         journal, listener = _Journal(self._store, record.id), self._listener(record.id, watched)
         try:
             watched.flight = attach(folder, journal, listener, after=status.sequence)
@@ -221,15 +219,13 @@ class FlightService:
         """
         flight = self._running(flight_id)
         status = flight.status()
-        watched = self._watched[flight_id]
         if status["plan_sha256"] != plan_sha256:
             raise ConflictError(f"the flight is of plan {status['plan_sha256']}, not {plan_sha256}")
         if status["state"] != FlightState.READY.value:
             raise ConflictError(f"the preflight has not passed: the flight is {status['state']}")
         if status["preflight_id"] != preflight_id:
             raise ConflictError(f"the last preflight is {status['preflight_id']}, not {preflight_id}")
-        # The streamer's clock runs ``speedup`` times as fast as a person's.
-        age_s = float(status["preflight_age_s"] or 0.0) / watched.speedup
+        age_s = float(status["preflight_age_s"] or 0.0)
         if age_s >= PREFLIGHT_VALID_S:
             raise ConflictError(
                 f"the preflight is {age_s:.0f} s old, allowed is under {PREFLIGHT_VALID_S:.0f} s; "
@@ -316,7 +312,7 @@ class FlightService:
             age = watched.flight.status()["preflight_age_s"]
         except SupervisorError:
             return None
-        return None if age is None else float(age) / watched.speedup
+        return None if age is None else float(age)
 
     def counts(self) -> dict[str, int]:
         """Running flights by state."""

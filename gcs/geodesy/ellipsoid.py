@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from planner.arrays import Array
 
 # WGS84 (NGA.STND.0036): semi-major axis in metres, flattening; the rest follows.
 WGS84_A_M = 6378137.0

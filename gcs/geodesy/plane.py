@@ -25,7 +25,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gcs.geodesy.ellipsoid import WGS84_A_M, WGS84_B_M, WGS84_E2, Array, ecef_m
+from gcs.geodesy.ellipsoid import WGS84_A_M, WGS84_B_M, WGS84_E2, ecef_m
+from planner.arrays import Array
 
 # Farthest from the origin a plane is used: beyond it distances would be stretched by more than 1.7 %.
 MAX_PLANE_RADIUS_M = 2_000_000.0

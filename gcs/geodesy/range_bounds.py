@@ -31,12 +31,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gcs.geodesy.ellipsoid import WGS84_A_M, WGS84_B_M
 from gcs.geodesy.plane import MAX_PLANE_RADIUS_M
-
-Array = NDArray[np.float64]
+from planner.arrays import Array
 
 MIN_CURVATURE_RADIUS_M = WGS84_B_M**2 / WGS84_A_M
 GEOID_MAX_M = 86.0

@@ -23,7 +23,7 @@ from typing import Any
 
 from gcs.errors import GcsError, MissionError, MissionInfeasible, NotFoundError, PlanningCancelled, StoreError
 from gcs.jobs.worker_pool import Job, WorkerPool
-from gcs.planning.replan import ReplanOrder
+from gcs.planning.replanning import ReplanOrder
 from gcs.store.missions import MissionRecord
 from gcs.store.planning_queue import Claim
 from gcs.store.store import Store

@@ -1,11 +1,10 @@
 """A planning process: takes missions from its parent over a socket, one at a time, and sends back plans.
 
 Messages are JSON, in both directions, in the frames of `multiprocessing.connection` (no pickles). To the worker:
-``{"task", "mission", "method", "time_limit_s", "notes"}``, or ``"replan"`` (`gcs.planning.replan.ReplanOrder`) in place
-of
-``"mission"``; its answer's ``"plan"`` is a `gcs.planning.replan.Replanned`. From it: ``{"ready"}`` once, when
-everything is imported and has planned once; then for a task any number of ``{"task", "phase", "fraction"}`` and one of
-``{"task", "plan"}``, ``{"task", "infeasible"}``, ``{"task", "malformed"}``, ``{"task", "failed"}``.
+``{"task", "mission", "method", "time_limit_s", "notes"}``, or ``"replan"`` (`gcs.planning.replanning.ReplanOrder`) in
+place of ``"mission"``; its answer's ``"plan"`` is a `gcs.planning.replanning.Replanned`. From it: ``{"ready"}`` once,
+when everything is imported and has planned once; then for a task any number of ``{"task", "phase", "fraction"}`` and
+one of ``{"task", "plan"}``, ``{"task", "infeasible"}``, ``{"task", "malformed"}``, ``{"task", "failed"}``.
 
 The process ends when its parent does, even in the middle of native code (Linux kills it; elsewhere a thread looks).
 """
@@ -80,7 +79,7 @@ def answer(channel: Connection[Any, Any], task: dict[str, Any]) -> None:
     from gcs.errors import MissionError, MissionInfeasible
     from gcs.mission.document import read_mission
     from gcs.planning.mission_planning import plan_mission
-    from gcs.planning.replan import ReplanOrder
+    from gcs.planning.replanning import ReplanOrder
 
     number = task["task"]
 

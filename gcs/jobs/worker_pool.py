@@ -34,7 +34,7 @@ from typing import Any
 
 from gcs.errors import InputFault, MissionError, PlanningCancelled, PlanningFailed, infeasible_from_document
 from gcs.jobs.worker import MAX_MESSAGE_BYTES
-from gcs.planning.replan import ReplanOrder
+from gcs.planning.replanning import ReplanOrder
 
 log = logging.getLogger(__name__)
 
@@ -121,7 +121,7 @@ class WorkerPool:
         return self._submit({"mission": mission}, method, limit_s, on_progress)
 
     def submit_replan(self, order: ReplanOrder, *, method: str | None = None, limit_s: float | None = None) -> Job:
-        """Queue a replan; the job's future gets the document of a `gcs.planning.replan.Replanned`, or raises as for
+        """Queue a replan; the job's future gets the document of a `gcs.planning.replanning.Replanned`, or raises as for
         `submit`.
         """
         return self._submit({"replan": order.to_document()}, method, limit_s, None)

@@ -16,6 +16,7 @@ import numpy as np
 from gcs.geodesy import range_bounds
 from gcs.geodesy.ellipsoid import ecef_m
 from gcs.geodesy.plane import Plane
+from gcs.geodesy.range_bounds import planning_elevation_deg
 from gcs.mission.model import GeoPosition, LocalPosition, Mission, Position
 from planner.arrays import Array, Indices
 from planner.coverage import ElevationMask
@@ -47,7 +48,7 @@ class MissionGeometry:
     def renamed(self, mission: Mission) -> MissionGeometry:
         """The geometry of ``mission``, which has the same places under the same or other names and ids."""
         other = MissionGeometry(mission, self.plane)
-        for name in ("stations_enu_m", "full_ranges_m", "min_elevations_deg", "_antennas"):
+        for name in ("stations_enu_m", "full_ranges_m", "elevation_mask", "_antennas"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
         return other
@@ -86,9 +87,17 @@ class MissionGeometry:
         return np.array([s.range_m for s in self.mission.stations])
 
     @cached_property
-    def min_elevations_deg(self) -> Array:
-        """``(M,)``: lowest elevations as given, in the numbers of `ElevationMask`."""
-        return ElevationMask.of_each(s.min_elevation_deg for s in self.mission.stations).lowest_deg
+    def elevation_mask(self) -> ElevationMask:
+        """``(M,)``: lowest elevations as given."""
+        return ElevationMask.of_each(s.min_elevation_deg for s in self.mission.stations)
+
+    def planning_mask(self, stations: Indices) -> ElevationMask:
+        """``(M',)``: lowest elevations to plan with, raised by what the plane may show too high."""
+        mask = self.elevation_mask.at(stations)
+        if self.is_local:
+            return mask
+        raised = np.minimum(planning_elevation_deg(mask.lowest_deg, self.full_ranges_m[stations]), 89.9)
+        return ElevationMask(np.where(mask.limited, raised, mask.lowest_deg))
 
     @cached_property
     def _antennas(self) -> tuple[Array, Array]:
@@ -121,7 +130,7 @@ class MissionGeometry:
         """How far outside its station's full range, or below its lowest elevation, each point is; negative inside."""
         distance, height = self.offsets_m(stations, enu_m)
         outside = distance - self.full_ranges_m[stations]
-        mask = ElevationMask(self.min_elevations_deg).at(stations)
+        mask = self.elevation_mask.at(stations)
         if mask.limited.any():
             below = np.sin(mask.angle_rad) * distance - height
             outside = np.where(mask.limited, np.maximum(outside, below), outside)

@@ -7,12 +7,9 @@ end to end.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gcs.geodesy.range_bounds import planning_elevation_deg
 from gcs.layout.mission_geometry import MissionGeometry
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Flags
 
 # Ways whose coverage is worked out together.
 _AT_ONCE = 256
@@ -26,14 +23,10 @@ class Cover:
         keep = [i for i, s in enumerate(geometry.mission.stations) if s.id not in excluded]
         self.radius = (geometry.inner_ranges_m(geometry.full_ranges_m) - off_m)[keep]
         self.centre = geometry.stations_enu_m[keep]
-        lowest = geometry.min_elevations_deg[keep]
-        if not geometry.is_local:
-            raised = np.minimum(planning_elevation_deg(lowest, geometry.full_ranges_m[keep]), 89.9)
-            lowest = np.where(lowest > -90, raised, lowest)
-        self.slope = np.where(lowest > -90, np.tan(np.radians(np.maximum(lowest, 0.0))), np.nan)
+        self.mask = geometry.planning_mask(np.array(keep, dtype=np.int64))
         self.off_m = off_m
 
-    def holds(self, begin: Array, end: Array) -> NDArray[np.bool_]:
+    def holds(self, begin: Array, end: Array) -> Flags:
         """``(...)``: whether each straight way from ``begin`` to ``end`` ``(..., 3)`` is covered all along."""
         flat_begin, flat_end = begin.reshape(-1, 3), end.reshape(-1, 3)
         result = np.zeros(len(flat_begin), dtype=bool)
@@ -41,14 +34,14 @@ class Cover:
             result[k : k + _AT_ONCE] = self._holds(flat_begin[k : k + _AT_ONCE], flat_end[k : k + _AT_ONCE])
         return result.reshape(begin.shape[:-1])
 
-    def _holds(self, begin: Array, end: Array) -> NDArray[np.bool_]:
+    def _holds(self, begin: Array, end: Array) -> Flags:
         # Only stations that reach the box around these ways: on a large map that is a few of many.
         box = np.concatenate([begin, end])
         beyond = np.maximum(np.maximum(box.min(axis=0) - self.centre, self.centre - box.max(axis=0)), 0.0)
         near = np.flatnonzero((np.linalg.norm(beyond, axis=1) <= self.radius) & (self.radius > 0))
         if not len(near):
             return np.zeros(len(begin), dtype=bool)
-        radius, centre, slope = self.radius[near], self.centre[near], self.slope[near]
+        radius, centre, mask = self.radius[near], self.centre[near], self.mask.at(near)
         way = end - begin
         offset = begin[:, None, :] - centre
         # |offset + u way|^2 <= radius^2: one interval of u for each station
@@ -59,8 +52,8 @@ class Cover:
         cuts = square >= 0
         root = np.sqrt(np.maximum(square, 0.0))
         low, high = np.where(cuts, (-b - root) / a, np.inf), np.where(cuts, (-b + root) / a, -np.inf)
-        for k in np.flatnonzero(np.isfinite(slope)).tolist():
-            first, last = self._above_cone(float(slope[k]), offset[:, k], way)
+        for k in np.flatnonzero(mask.limited).tolist():
+            first, last = self._above_cone(float(mask.slope[k]), offset[:, k], way)
             low[:, k], high[:, k] = np.maximum(low[:, k], first), np.minimum(high[:, k], last)
         # Sorted by their beginnings, the intervals join when none begins beyond what is reached so far.
         met = (high >= low).any(axis=0)

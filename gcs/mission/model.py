@@ -85,6 +85,11 @@ class MissionLimits:
     endurance_s: float | None = None
     reserve_s: float | None = None
 
+    @property
+    def allowed_s(self) -> float | None:
+        """How long a flight may take: endurance less reserve; None without an endurance."""
+        return None if self.endurance_s is None else self.endurance_s - (self.reserve_s or 0.0)
+
 
 @dataclass(frozen=True)
 class StartState:

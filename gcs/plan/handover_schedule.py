@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import elementwise
 
 from gcs.layout.mission_geometry import MissionGeometry
 from planner import Trajectory
-from planner.coverage import ElevationMask, Stations, coverage_windows
-
-Array = NDArray[np.float64]
+from planner.arrays import Array, Indices
+from planner.coverage import Stations, coverage_windows
 
 # Looks inside the enclosure of a window's end, and inside a window where elevation counts.
 _LOOKS = 17
@@ -114,16 +112,12 @@ def _motion(geometry: MissionGeometry, place: Array, velocity: Array) -> tuple[A
     return lat, lon, speed, course
 
 
-def _windows(
-    geometry: MissionGeometry, trajectory: Trajectory, stations: NDArray[np.int64], times: Array
-) -> tuple[Array, Array]:
+def _windows(geometry: MissionGeometry, trajectory: Trajectory, stations: Indices, times: Array) -> tuple[Array, Array]:
     """The longest spans around ``times`` in which each of ``stations`` truly covers the vehicle."""
-    at, lowest = geometry.stations_enu_m, geometry.min_elevations_deg
-    full = geometry.full_ranges_m
+    at, full, mask = geometry.stations_enu_m, geometry.full_ranges_m, geometry.elevation_mask.at(stations)
 
     def around(radius: Array, *, cone: bool) -> tuple[Array, Array]:
-        mask = ElevationMask(lowest[stations]) if cone else None
-        covering = Stations(at[stations], radius[stations], mask)
+        covering = Stations(at[stations], radius[stations], mask if cone else None)
         return coverage_windows(trajectory, covering, times, slack_m=_ROUNDING_M)
 
     if geometry.is_local:
@@ -132,7 +126,7 @@ def _windows(
     sooner, later = around(geometry.outer_ranges_m(full), cone=False)
     late = _first_outside(geometry, trajectory, stations, late, np.maximum(later, late), _LOOKS)
     early = _first_outside(geometry, trajectory, stations, early, np.minimum(sooner, early), _LOOKS)
-    which = np.flatnonzero(lowest[stations] > -90)
+    which = np.flatnonzero(mask.limited)
     if len(which):
         looks = 2 + int(trajectory.duration_s / _ELEVATION_STEP_S)
         late[which] = _first_outside(geometry, trajectory, stations[which], times[which], late[which], looks)
@@ -143,7 +137,7 @@ def _windows(
 def _first_outside(
     geometry: MissionGeometry,
     trajectory: Trajectory,
-    stations: NDArray[np.int64],
+    stations: Indices,
     from_s: Array,
     to_s: Array,
     looks: int,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gcs.errors import PlanningFailed
+from gcs.errors import Finding, PlanningFailed
 from gcs.layout.planning_problem import PlanningProblem, lay_out
 from gcs.plan.model import Plan
 from planner import Certificate, Solution, Trajectory, certify
@@ -45,8 +45,14 @@ def certify_true(laid: PlanningProblem, trajectory: Trajectory) -> Certificate:
 
 
 def recertify(plan: Plan) -> Certificate:
-    """The certificate of a plan measured anew from its mission and its curve, whatever its document says."""
-    laid = lay_out(plan.mission, plan.plane)
+    """The certificate of a plan measured anew from its mission and its curve, whatever its document says.
+
+    Raises `PlanningFailed` for a plan that cannot be one of its mission.
+    """
+    try:
+        laid = lay_out(plan.mission, plan.plane)
+    except Finding as error:
+        raise PlanningFailed(f"no plan of this mission can be flown: {error}") from error
     back = {int(station): k for k, station in enumerate(laid.stations)}
     try:
         stations = np.array([back[int(i)] for i in plan.trajectory.station_index])
@@ -55,7 +61,7 @@ def recertify(plan: Plan) -> Certificate:
     return certify_true(laid, Trajectory(plan.trajectory.control_points_m, plan.trajectory.durations_s, stations))
 
 
-def _lower_bound_s(laid: PlanningProblem, solution: Solution) -> float:
+def true_lower_bound_s(laid: PlanningProblem, solution: Solution) -> float:
     """The solution's bound, or one of its own where elevation or wind are corrected for the projection."""
     limits = laid.geometry.mission.limits
     problem = laid.problem
@@ -65,7 +71,7 @@ def _lower_bound_s(laid: PlanningProblem, solution: Solution) -> float:
     if limits.max_airspeed_m_s is not None and wider.max_airspeed_m_s is not None:
         taken_off = limits.max_airspeed_m_s - wider.max_airspeed_m_s
         wider = replace(wider, max_airspeed_m_s=(limits.max_airspeed_m_s + taken_off) * problem.bound_speed_factor)
-    lowest = laid.geometry.min_elevations_deg[laid.stations]
     # What truly is above e shows in the plane above e less 0.1 degree (deflection of the vertical, stretch).
-    lowest = np.where(lowest > 0.1, lowest - 0.1, ElevationMask.none(len(lowest)).lowest_deg)
-    return lower_bound(replace(problem, limits=wider, min_elevation_deg=lowest)).time_s
+    lowest_deg = laid.geometry.elevation_mask.lowest_deg[laid.stations].tolist()
+    mask = ElevationMask.of_each(angle - 0.1 if angle > 0.1 else None for angle in lowest_deg)
+    return lower_bound(replace(problem, limits=wider, min_elevation_deg=mask.lowest_deg)).time_s

@@ -1,24 +1,29 @@
 """From a mission to a certified plan.
 
 The mission is laid on its plane (`gcs.layout.planning_problem`); the planner finds the curve (`gcs.planning.solve`);
-schedule and contingencies are worked out; and everything is measured again, the ranges as true slant ranges.
+schedule and contingencies are worked out; and everything is measured again, the ranges as true slant ranges. What shows
+on the way that nobody can fly it is raised as a finding, and explained once, at the end (`gcs.remedies.explanation`).
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
-from gcs.errors import PlanningFailed
+from gcs.errors import Finding, PlanningFailed
 from gcs.geodesy.plane import Plane
+from gcs.layout.planning_problem import lay_out
+from gcs.layout.problem_planner import PlannerLike, ProblemPlanner
 from gcs.mission.model import Mission
 from gcs.plan.contingency import contingencies
 from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
-from gcs.planning.certification import _lower_bound_s, certify_true
-from gcs.planning.solve import PlannerLike, laid_out, solve
+from gcs.planning.certification import certify_true, true_lower_bound_s
+from gcs.planning.solve import solve
+from gcs.remedies.explanation import explain
 from gcs.timestamps import utc_text
 from planner import Method, Planner, Trajectory
 
@@ -31,6 +36,17 @@ def product_version() -> str:
         return version("skyrelay")
     except PackageNotFoundError:
         return "0+unknown"
+
+
+@dataclass(frozen=True)
+class PlanningMethod:
+    """How to plan, as `plan_mission` is told."""
+
+    planner: ProblemPlanner
+    created_utc: datetime | None = None
+    notes: Sequence[str] = ()
+    progress: Progress | None = None
+    plane: Plane | None = None
 
 
 def plan_mission(
@@ -54,13 +70,28 @@ def plan_mission(
 
     Raises `MissionInfeasible` and `PlanningFailed`; `MissionError` when the stations flown cannot get system ids.
     """
+    how = PlanningMethod(
+        problem_planner(planner, method or ("fast" if fast else "joint"), time_limit_s),
+        created_utc=created_utc,
+        notes=notes,
+        progress=progress,
+        plane=plane,
+    )
+    try:
+        return find_plan(mission, how)
+    except Finding as finding:
+        # The one place where it is asked what would help; nothing below looks for it.
+        raise explain(finding, how.planner) from finding
+
+
+def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
+    """As `plan_mission`, for those who may do without an explanation: raises `Finding`, not `MissionInfeasible`."""
     begin = time.perf_counter()
-    tell = progress or (lambda phase, fraction: None)
+    tell = how.progress or (lambda phase, fraction: None)
     tell("preparing", 0.0)
-    laid = laid_out(mission, plane)
-    worker = planner if planner is not None else default_planner()
+    laid = lay_out(mission, how.plane)
     tell("planning", 0.05)
-    solution = solve(laid, worker, method or ("fast" if fast else "joint"), time_limit_s)
+    solution = solve(laid, how.planner)
     tell("scheduling", 0.9)
     trajectory = solution.trajectory
     certificate = certify_true(laid, trajectory)
@@ -69,9 +100,11 @@ def plan_mission(
     curve = Trajectory(trajectory.control_points_m, trajectory.durations_s, laid.stations[trajectory.station_index])
     named = mission.with_system_ids(curve.sequence)
     geometry = laid.geometry.renamed(named)
-    remarks = [*notes, *solution.notes]
-    if time_limit_s is not None:
-        remarks.append(f"planned within a time limit of {time_limit_s:g} s: another machine may plan otherwise")
+    remarks = [*how.notes, *solution.notes]
+    if how.planner.time_limit_s is not None:
+        remarks.append(
+            f"planned within a time limit of {how.planner.time_limit_s:g} s: another machine may plan otherwise"
+        )
     plan = Plan(
         mission=named,
         trajectory=curve,
@@ -79,10 +112,10 @@ def plan_mission(
         handovers=schedule(geometry, curve),
         contingencies=contingencies(geometry, curve),
         certificate=certificate,
-        lower_bound_s=_lower_bound_s(laid, solution),
+        lower_bound_s=true_lower_bound_s(laid, solution),
         path_length_m=curve.path_length_m(),
         solve_time_s=time.perf_counter() - begin,
-        created_utc=utc_text(created_utc or datetime.now(UTC)),
+        created_utc=utc_text(how.created_utc or datetime.now(UTC)),
         method=solution.method,
         planner_version=product_version(),
         iterations=solution.iterations,
@@ -90,6 +123,11 @@ def plan_mission(
     )
     tell("done", 1.0)
     return plan
+
+
+def problem_planner(planner: PlannerLike | None, method: Method, time_limit_s: float | None = None) -> ProblemPlanner:
+    """``planner``, or this process's where there is none, asked for ``method``."""
+    return ProblemPlanner(planner if planner is not None else default_planner(), method, time_limit_s)
 
 
 _shared_planner: PlannerLike | None = None

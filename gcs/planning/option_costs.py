@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from gcs.errors import MissionInfeasible, PlanningFailed
+from gcs.errors import Finding, PlanningFailed
+from gcs.layout.problem_planner import PlannerLike
 from gcs.mission.model import Mission, MissionLimits, MissionOptions
 from gcs.plan.model import TOGETHER, OptionCost, Plan
-from gcs.planning.mission_planning import plan_mission
-from gcs.planning.solve import PlannerLike
+from gcs.planning.mission_planning import PlanningMethod, find_plan, problem_planner
 from planner import Method
 
 Step = Callable[[int, int], None]
@@ -40,6 +40,7 @@ def with_costs(
     many there are. The document is another one than without costs, and so is its hash.
     """
     mission, given = plan.mission, _in_force(plan.mission)
+    how = PlanningMethod(problem_planner(planner, method))
     # An arrival asked for hides what the others cost: they are held against the flight without it.
     arrival = next((one for one in given if one.option == "arrival_s"), None)
     hurried = mission if arrival is None else arrival.drop(mission)
@@ -53,8 +54,8 @@ def with_costs(
             step(done, total)
         done += 1
         try:
-            return plan_mission(of, method=method, planner=planner).mission_time_s
-        except (MissionInfeasible, PlanningFailed):
+            return find_plan(of, how).mission_time_s
+        except (Finding, PlanningFailed):
             return None
 
     base_s: float | None = plan.mission_time_s

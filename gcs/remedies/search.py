@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs.errors import GcsError
 from gcs.mission.model import Mission
-from gcs.remedies.actions import Fix, apply_fix
+from gcs.remedies.application import apply
+from gcs.remedies.changes import (
+    Change,
+    IncludeStation,
+    LowerMargin,
+    LowerOption,
+    LowerStartSpeed,
+    RaiseLimit,
+    Triple,
+    WidenBand,
+)
+from planner.arrays import Array
 
-# Plans made in search of fixes for one mission, at most, and how near a fix comes to the least one that will do.
+# Plans made in search of changes for one mission, at most, and how near a change comes to the least one that will do.
 MAX_PLANS = 24
 NEARNESS = 0.008
-# Limits of the vehicle that cost time, and how far a fix may raise each.
+# Limits of the vehicle that cost time, and how far a change may raise each.
 _RAISABLE = {
     "max_speed_m_s": 4.0,
     "max_accel_m_s2": 10.0,
@@ -31,12 +42,12 @@ Excess = Callable[[Mission], float]
 
 @dataclass(frozen=True)
 class _Knob:
-    """Something that can be given up in part: ``fix(share)`` for shares from 0 (nothing) to 1 (all of it).
+    """Something that can be given up in part: ``change(share)`` for shares from 0 (nothing) to 1 (all of it).
 
     ``offset`` is what stays however much is given up, in shares: what a share is measured against (`NEARNESS`).
     """
 
-    fix: Callable[[float], Fix]
+    change: Callable[[float], Change]
     offset: float = 0.0
 
 
@@ -53,7 +64,7 @@ class Search:
         self._now = now
         self._left = plans
 
-    def time_fixes(self) -> list[Fix]:
+    def time_changes(self) -> list[Change]:
         """What can be given up to be sooner: overlap, tenure, margin, handovers, limits; the cheapest to try first."""
         options, limits = self._mission.options, self._mission.limits
         knobs: list[_Knob] = []
@@ -65,25 +76,20 @@ class Search:
         if margin > 0.0:
             knobs.append(_Knob(lambda x: lower_margin(margin, (1.0 - x) * margin)))
         knobs += [_raising(n, v) for n in _RAISABLE if (v := getattr(limits, n)) is not None]
-        fixes = [fix for knob in knobs if (fix := self._least(knob)) is not None]
+        found = [change for knob in knobs if (change := self._least(knob)) is not None]
         if options.max_handovers is not None:
-            fixes += self._first([{"action": "raise_limit", "limit": "max_handovers", "to": options.max_handovers + 1}])
-        return fixes + self._first([{"action": "include_station", "station": s} for s in options.excluded_stations[:4]])
+            found += self._first([RaiseLimit("max_handovers", None, options.max_handovers + 1)])
+        return found + self._first([IncludeStation(station) for station in options.excluded_stations[:4]])
 
-    def start_fixes(self, limit: str | None = None) -> list[Fix]:
+    def start_changes(self, limit: str | None = None) -> list[Change]:
         """What lets a start state be taken up: less of it, or more of what stops it, ``limit`` if that is known."""
         state = self._mission.options.start_state
         assert state is not None
         velocity, acceleration = np.array(state.velocity_m_s), np.array(state.acceleration_m_s2)
 
-        def slower(share: float) -> Fix:
+        def slower(share: float) -> Change:
             left = (1.0 - share) * velocity
-            return {
-                "action": "lower_start_speed",
-                "below_m_s": float(np.linalg.norm(left)),
-                "velocity_m_s": [float(x) for x in left],
-                "acceleration_m_s2": [float(x) for x in (1.0 - share) * acceleration],
-            }
+            return LowerStartSpeed(float(np.linalg.norm(left)), _three(left), _three((1.0 - share) * acceleration))
 
         limits = self._mission.limits
         knobs = [_Knob(slower, offset=0.5)]
@@ -94,17 +100,17 @@ class Search:
         if velocity[2] != 0.0 and limit is None:
             room = float(velocity[2]) ** 2 / limits.max_accel_m_s2 + 10.0
             knobs.append(_Knob(_widening(self._mission, room, up=bool(velocity[2] > 0.0))))
-        return [fix for knob in knobs if (fix := self._least(knob)) is not None]
+        return [change for knob in knobs if (change := self._least(knob)) is not None]
 
-    def _first(self, fixes: list[Fix]) -> list[Fix]:
-        """The first of several fixes that will do, if any."""
-        for fix in fixes:
-            if self._left > 0 and self._try(fix) <= 0.0:
-                return [fix]
+    def _first(self, changes: Sequence[Change]) -> list[Change]:
+        """The first of several changes that will do, if any."""
+        for change in changes:
+            if self._left > 0 and self._try(change) <= 0.0:
+                return [change]
         return []
 
-    def _least(self, knob: _Knob) -> Fix | None:
-        """The smallest share of a knob that will do, as its fix; None when all of it would not.
+    def _least(self, knob: _Knob) -> Change | None:
+        """The smallest share of a knob that will do, as a change; None when all of it would not.
 
         Times do not always grow with what is asked (another sequence may suddenly be better), so less may do at times.
         The excess is interpolated between what is too little and what is enough (regula falsi), every step a little
@@ -113,7 +119,7 @@ class Search:
         if self._left <= 0:
             return None
         low, high = 0.0, 1.0
-        before, after = self._now, self._try(knob.fix(1.0))
+        before, after = self._now, self._try(knob.change(1.0))
         if after > 0.0:
             return None
         halve = False
@@ -126,45 +132,42 @@ class Search:
                 # Close to what is enough already: is a little less too little?
                 middle = min(max(root, low + 0.01 * open_part), high - 0.9 * (near + NEARNESS * high))
                 middle = max(middle, low + 0.01 * open_part)
-            excess = self._try(knob.fix(middle))
+            excess = self._try(knob.change(middle))
             if excess <= 0.0:
                 high, after = middle, excess
             else:
                 low, before = middle, excess
             halve = high - low > 0.5 * open_part
-        return knob.fix(high)
+        return knob.change(high)
 
-    def _try(self, fix: Fix) -> float:
+    def _try(self, change: Change) -> float:
         self._left -= 1
         try:
-            return self._excess(apply_fix(self._mission, fix))
+            return self._excess(apply(self._mission, change))
         except GcsError:
             return math.inf
 
 
-def lower_margin(given_m: float, to_m: float) -> Fix:
-    """The fix that takes ``to_m`` off every range instead of ``given_m``."""
-    return {"action": "lower_margin", "by_m": given_m - to_m, "range_margin_m": to_m}
+def lower_margin(given_m: float, to_m: float) -> LowerMargin:
+    """The change that takes ``to_m`` off every range instead of ``given_m``."""
+    return LowerMargin(given_m - to_m, to_m)
 
 
-def _lowering_option(name: str, given_s: float) -> Callable[[float], Fix]:
-    return lambda x: {"action": "lower_option", "option": name, "by_s": x * given_s, "to": (1.0 - x) * given_s}
+def _lowering_option(name: str, given_s: float) -> Callable[[float], Change]:
+    return lambda x: LowerOption(name, x * given_s, (1.0 - x) * given_s)
 
 
 def _raising(name: str, given: float) -> _Knob:
     most = (_RAISABLE[name] - 1.0) * given
-    return _Knob(
-        lambda x: {"action": "raise_limit", "limit": name, "by": x * most, "to": given + x * most},
-        offset=given / most,
-    )
+    return _Knob(lambda x: RaiseLimit(name, x * most, given + x * most), offset=given / most)
 
 
-def _widening(mission: Mission, room_m: float, *, up: bool) -> Callable[[float], Fix]:
+def _widening(mission: Mission, room_m: float, *, up: bool) -> Callable[[float], Change]:
     limits = mission.limits
     if up:
-        return lambda x: {
-            "action": "widen_band",
-            "max_alt_amsl_m": limits.max_alt_amsl_m + x * room_m,
-            "by_m": x * room_m,
-        }
-    return lambda x: {"action": "widen_band", "min_alt_amsl_m": limits.min_alt_amsl_m - x * room_m, "by_m": x * room_m}
+        return lambda x: WidenBand(max_alt_amsl_m=limits.max_alt_amsl_m + x * room_m, by_m=x * room_m)
+    return lambda x: WidenBand(min_alt_amsl_m=limits.min_alt_amsl_m - x * room_m, by_m=x * room_m)
+
+
+def _three(vector: Array) -> Triple:
+    return float(vector[0]), float(vector[1]), float(vector[2])

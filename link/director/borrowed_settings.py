@@ -1,4 +1,4 @@
-"""What a flight changes in the vehicle for its own time, and gives back: ownership, rally points, fence.
+"""What a flight changes in the vehicle for its own time, and gives back: GCS ids, rally points, geofence.
 
 Everything is read before it is changed and read back after; what was there before is put back on the ground, disarmed,
 however the flight ended, but never when the vehicle is lost: then it stays as it is, and that is said.
@@ -15,8 +15,8 @@ from gcs.flight import EventKind
 from gcs.plan import Place, Plan
 from link.dialect import mavlink
 from link.errors import MissionItemError
-from link.handover import gcs_ownership
-from link.handover.gcs_ownership import Keeper, Ownership
+from link.handover import gcs_ids
+from link.handover.gcs_ids import GcsIdManager, GcsIds
 from link.microservices.mission_client import MissionClient
 from link.microservices.mission_download import MissionDownload, MissionTransfer
 from link.microservices.mission_item import AMSL, FENCE, RALLY, RELATIVE, TYPE_NAMES, MissionItem, rally_point
@@ -25,8 +25,9 @@ from link.microservices.parameter import ParameterClient
 from link.microservices.parameter_value import Parameter
 from link.preflight import geofence
 from link.preflight.check import Check, Level
-from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.context import FlightContext
 from link.session.procedure import Steps, wait_until
+from link.session.request import HandoverWay
 
 MOST_RALLY_POINTS = 30
 """PX4 keeps 32."""
@@ -46,15 +47,19 @@ def _covered(plan: Plan, enu_m: NDArray[np.float64]) -> bool:
     return bool((outside <= 0.0).any())
 
 
-class Loan:
-    """What is lent for one flight. The steps want a station in control and the vehicle disarmed."""
+class BorrowedSettings:
+    """What is borrowed for one flight. The steps want a station in control and the vehicle disarmed."""
 
-    def __init__(self, context: FlightContext, parameters: ParameterClient, desk: MissionClient) -> None:
-        self._c = context
+    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
+        self._flight = flight
+        self._request = flight.request
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
         self._parameters = parameters
-        self._desk = desk
-        self.ownership: Ownership | None = None
-        """As it was; None while nothing of it was changed."""
+        self._missions = missions
+        self.gcs_ids: GcsIds | None = None
+        """As they were; None while nothing of them was changed."""
         self.lists: dict[int, tuple[MissionItem, ...]] = {}
         """Lists as they were, by MAV_MISSION_TYPE."""
         self.settings: dict[str, int | float] = {}
@@ -64,39 +69,40 @@ class Loan:
         self._values: Values = {}
         self._transfer: MissionTransfer | None = None
 
-    def remember(self, values: Values, before: Ownership) -> None:
-        """Ownership as it was, where it has to be changed before anything can be asked."""
-        self._values, self.ownership = values, before
+    def remember(self, values: Values, before: GcsIds) -> None:
+        """GCS ids as they were, where they have to be changed before anything can be asked."""
+        self._values, self.gcs_ids = values, before
 
-    # -- ownership ----------------------------------------------------------------------------------------------------
+    # -- GCS ids ------------------------------------------------------------------------------------------------------
 
-    def take_ownership(self, values: Values) -> Steps[list[Check]]:
+    def take_gcs_ids(self, values: Values) -> Steps[list[Check]]:
         """ArduPilot: tell it whom to hear: the plan's stations and no other, or the first and then each in turn."""
-        c, self._values = self._c, values
-        way = c.request.handover_way
-        if not c.profile.filters_station_ids or way in ("gate", "operator_control"):
+        vehicle, control = self._vehicle, self._control
+        self._values = values
+        way = self._request.handover_way
+        if not vehicle.profile.filters_station_ids or way in (HandoverWay.GATE, HandoverWay.OPERATOR_CONTROL):
             return []
-        before = gcs_ownership.present(values)
-        used = {station: c.system_ids[station] for station in c.monitor.links}
+        before = gcs_ids.present(values)
+        used = {station: control.system_ids[station] for station in vehicle.monitor.links}
         required = "MAV_GCS_SYSID and MAV_OPTIONS (4.6: SYSID_MYGCS and SYSID_ENFORCE)"
         if before is None:
             fix = "give --handover-way gate to fly without, knowing that the vehicle then obeys anybody"
             told = "the vehicle does not tell whom it hears"
             return [Check("ownership", Level.ERROR, told, None, required, fix=fix)]
-        if before.high is None and len(used) > 1 and way != "parameter":
+        if before.high is None and len(used) > 1 and way != HandoverWay.PARAMETER:
             told = "this firmware knows one station at a time: no range of ids (MAV_GCS_SYSID_HI, ArduPilot 4.7)"
             fix = "give --handover-way parameter: the vehicle is then told of each handover, the only way it has"
             return [Check("ownership", Level.FAILURE, told, None, "MAV_GCS_SYSID_HI (ArduPilot 4.7)", fix=fix)]
-        first = c.system_ids[c.plan.station_ids[0]]
-        after = before.alone(first) if way == "parameter" else gcs_ownership.wanted(used, before)
-        self.ownership = self.ownership or before
-        done = yield from gcs_ownership.apply(c, self._parameters, values, before, after)
+        first = control.system_ids[self._flight.plan.station_ids[0]]
+        after = before.alone(first) if way == HandoverWay.PARAMETER else gcs_ids.wanted(used, before)
+        self.gcs_ids = self.gcs_ids or before
+        done = yield from gcs_ids.apply(self._flight, self._parameters, values, before, after)
         if not done:
             fix = "look for another ground station, or a link that loses much, and try again"
             told = "the vehicle did not take the ids it is to hear"
             return [Check("ownership", Level.FAILURE, told, after.low, required, fix=fix)]
-        if way == "parameter":
-            c.keeper = Keeper(c, values, after)
+        if way == HandoverWay.PARAMETER:
+            control.id_manager = GcsIdManager(self._flight, values, after)
             told = f"the vehicle hears station {after.low} and no other, and is told of each handover"
         else:
             told = f"the vehicle hears stations {after.low} to {max(after.low, after.high or 0)} and no other"
@@ -106,8 +112,7 @@ class Loan:
 
     def take_rally(self, ground_amsl_m: float) -> Steps[list[Check]]:
         """Upload the mission's covered safe points as rally points, and read them back."""
-        c = self._c
-        if not c.request.rally:
+        if not self._request.rally:
             told = "not looked at, as asked: the vehicle's own return may go to rally points it holds"
             return [Check("rally points", Level.WARNING, told, fix="leave out --no-rally")]
         named, checks = self._safe_points(ground_amsl_m)
@@ -126,7 +131,7 @@ class Loan:
             self.points = self._places(held, ground_amsl_m)
             told = f"the vehicle holds {len(held)} of its own" if held else "none, neither in the mission nor held"
             return [*checks, Check("rally points", Level.PASS, told, len(held))]
-        if not difference(items, held, c.profile.mission, RALLY):
+        if not difference(items, held, self._vehicle.profile.mission, RALLY):
             self.points = tuple((name, self._place(item, ground_amsl_m)) for name, item in named)
             return [*checks, Check("rally points", Level.PASS, f"{len(items)}, held already and read back", len(items))]
         check = yield from self._put("rally points", RALLY, items, held)
@@ -138,7 +143,7 @@ class Loan:
 
     def _safe_points(self, ground_amsl_m: float) -> tuple[list[tuple[str, MissionItem]], list[Check]]:
         """The rally points to upload, and what is to be said of the safe points that are left out."""
-        c, plan = self._c, self._c.plan
+        plan = self._flight.plan
         safe = plan.mission.safe_points
         if not safe:
             return [], []
@@ -152,7 +157,7 @@ class Loan:
                 uncovered.append(safe[k].id)
                 continue
             place = ground.geo(at[k])
-            if c.profile.rally_frame == AMSL:
+            if self._vehicle.profile.rally_frame == AMSL:
                 item = rally_point(place.lat_deg, place.lon_deg, place.alt_amsl_m, frame=AMSL)
             else:
                 height_m = float(round(max(0.0, place.alt_amsl_m - ground_amsl_m)))
@@ -172,16 +177,16 @@ class Loan:
         return tuple((f"rally point {k + 1}", self._place(item, ground_amsl_m)) for k, item in enumerate(held))
 
     def _place(self, item: MissionItem, ground_amsl_m: float) -> Place:
-        plane = self._c.plan.plane
+        plane = self._flight.plan.plane
         east, north = plane.to_plane(item.lat_deg, item.lon_deg)
         alt_amsl_m = item.alt_m + (0.0 if item.frame == AMSL else ground_amsl_m)
         return float(east), float(north), alt_amsl_m - plane.alt_amsl_m
 
-    # -- fence --------------------------------------------------------------------------------------------------------
+    # -- geofence -----------------------------------------------------------------------------------------------------
 
-    def take_fence(self, values: Values, home_enu_m: Place) -> Steps[list[Check]]:
+    def take_geofence(self, values: Values, home_enu_m: Place) -> Steps[list[Check]]:
         """Judge the polygons the vehicle holds, or lay one around the plan where that is asked for."""
-        c, profile, lay = self._c, self._c.profile, self._c.request.fence
+        profile, lay = self._vehicle.profile, self._request.lay_geofence
         if not self._keeps(FENCE):
             told = "asked for, but the vehicle keeps no fence"
             return [Check("fence", Level.FAILURE, told, fix="fly without --fence")] if lay else []
@@ -192,16 +197,16 @@ class Loan:
             told = f"the fence it holds could not be read: {held}"
             return [Check("fence", Level.ERROR, told, None, "read back", fix="try again over a better link")]
         if not lay:
-            return [geofence.judge_stored(profile, values, c.plan, held)]
-        items = geofence.around(c.plan, home_enu_m, [place for _, place in self.points])
+            return [geofence.judge_stored(profile, values, self._flight.plan, held)]
+        items = geofence.around(self._flight.plan, home_enu_m, [place for _, place in self.points])
         check = yield from self._put("fence", FENCE, items, held)
         if check.level is not Level.PASS:
             return [Check("fence", max(check.level, Level.FAILURE), check.message, fix=check.fix)]
-        return [(yield from self._enforce_fence(values, check))]
+        return [(yield from self._enforce_geofence(values, check))]
 
-    def _enforce_fence(self, values: Values, laid: Check) -> Steps[Check]:
+    def _enforce_geofence(self, values: Values, laid: Check) -> Steps[Check]:
         """Bring the polygon into force; what its action does is said."""
-        profile = self._c.profile
+        profile = self._vehicle.profile
         does, harmless = profile.fence_action(values)
         told = f"{laid.message}; the vehicle answers a breach with: {does}"
         enabled = bool(profile.measure(values, "fence_enabled"))
@@ -218,28 +223,30 @@ class Loan:
         return Check("fence", Level.PASS, told, laid.value)
 
     def _set(self, parameter: Parameter, value: int | float) -> Steps[bool]:
+        timeline = self._timeline
         if parameter.value == value:
             return True
-        setting = self._parameters.set(parameter.name, value, self._c.fence)
-        yield from wait_until(self._c, lambda: setting.finished, 30.0)
+        setting = self._parameters.set(parameter.name, value, self._control.in_force)
+        yield from wait_until(timeline, lambda: setting.finished, 30.0)
         if setting.confirmed:
             self.settings.setdefault(parameter.name, parameter.value)
-            self._c.emit(EventKind.PARAMETER, name=parameter.name, before=parameter.value, after=value)
+            timeline.emit(EventKind.PARAMETER, name=parameter.name, before=parameter.value, after=value)
         return setting.confirmed
 
     # -- lists --------------------------------------------------------------------------------------------------------
 
     def _keeps(self, kind: int) -> bool:
         """Whether the vehicle says that it keeps such a list; what says nothing is asked."""
-        version = self._c.monitor.version
+        version = self._vehicle.monitor.version
         return version is None or bool(int(version.capabilities) & CAPABILITIES[kind])
 
     def _run(self, make: Callable[..., MissionTransfer], kind: int, *arguments: object, **more: object) -> Steps[str]:
         """A transfer from the station in control; why it failed, empty when it did not."""
-        c = self._c
-        speaker = c.system_ids[c.fence.station_id]
-        transfer = make(*arguments, target=(c.vehicle, 1), station=(speaker, 190), mission_type=kind, **more)
-        self._desk.start(c.now_s, c.fence, transfer)
+        control = self._control
+        transfer = make(
+            *arguments, target=(self._vehicle.system_id, 1), station=(control.own_id, 190), mission_type=kind, **more
+        )
+        self._missions.start(self._timeline.now_s, control.in_force, transfer)
         self._transfer = transfer
         while transfer.running:
             yield
@@ -258,7 +265,7 @@ class Loan:
 
     def _put(self, name: str, kind: int, items: Sequence[MissionItem], held: tuple[MissionItem, ...]) -> Steps[Check]:
         """Upload a list over the one held, which is kept to be put back."""
-        traits = self._c.profile.mission
+        traits = self._vehicle.profile.mission
         failed = yield from self._run(MissionUpload, kind, items, traits=traits)
         assert self._transfer is not None
         failure = self._transfer.failure
@@ -282,55 +289,54 @@ class Loan:
     def forget(self) -> None:
         """The vehicle is lost, or armed: nothing is given back, and what stays changed is said."""
         left = [TYPE_NAMES[kind] for kind in self.lists] + list(self.settings)
-        if self.ownership is not None:
+        if self.gcs_ids is not None:
             left.append("ownership")
         if left:
-            self._c.alarm("the vehicle keeps what this flight changed", changed=left)
-        self.ownership, self.lists, self.settings = None, {}, {}
+            self._timeline.alarm("the vehicle keeps what this flight changed", changed=left)
+        self.gcs_ids, self.lists, self.settings = None, {}, {}
 
     def give_back(self) -> Steps[None]:
         """Put everything back as it was; on the ground, disarmed."""
-        c = self._c
-        c.keeper = None
-        if self.ownership is None and not self.lists and not self.settings:
+        timeline, control = self._timeline, self._control
+        control.id_manager = None
+        if self.gcs_ids is None and not self.lists and not self.settings:
             return
         self._use_a_link_that_is_heard()
-        now: Ownership | None = None
-        if self.ownership is not None:
+        now: GcsIds | None = None
+        if self.gcs_ids is not None:
             # Read anew: after a flight nobody can be sure, and a write left out for a wrong belief is never made.
-            now = yield from gcs_ownership.reread(c, self._parameters, self._values)
-            own = c.system_ids[c.fence.station_id]
-            if now is not None and not now.hears(own):
-                c.grant(c.fence.station_id + VEHICLE_STATION, "not heard under its own id")
+            now = yield from gcs_ids.reread(self._flight, self._parameters, self._values)
+            if now is not None and not now.hears(control.own_id):
+                control.grant(control.in_force.station_id, "not heard under its own id", as_vehicle=True)
         settings, self.settings = self.settings, {}
         for name, value in reversed(settings.items()):
-            setting = self._parameters.set(name, value, c.fence)
-            yield from wait_until(c, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
+            setting = self._parameters.set(name, value, control.in_force)
+            yield from wait_until(timeline, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
             if setting.confirmed:
-                c.emit(EventKind.PARAMETER, name=name, before=None, after=value)
+                timeline.emit(EventKind.PARAMETER, name=name, before=None, after=value)
             else:
-                c.alarm("parameter not put back", name=name, value=value)
+                timeline.alarm("parameter not put back", name=name, value=value)
         lists, self.lists = self.lists, {}
         for kind, held in lists.items():
-            traits = self._c.profile.mission
+            traits = self._vehicle.profile.mission
             if held:
                 failed = yield from self._run(MissionUpload, kind, held, traits=traits)
             else:
                 failed = yield from self._run(MissionClear, kind, traits=traits)
             if failed:
-                c.alarm(f"{TYPE_NAMES[kind]} not put back", count=len(held), reason=failed)
-        if self.ownership is not None:
-            before, self.ownership = self.ownership, None
+                timeline.alarm(f"{TYPE_NAMES[kind]} not put back", count=len(held), reason=failed)
+        if self.gcs_ids is not None:
+            before, self.gcs_ids = self.gcs_ids, None
             # Not knowing, every value is written.
-            unlike = Ownership(0, None if before.high is None else -1, before.options ^ gcs_ownership.ENFORCE)
+            unlike = GcsIds(0, None if before.high is None else -1, before.options ^ gcs_ids.ENFORCE)
             known = now if now is not None else unlike
-            done = yield from gcs_ownership.apply(c, self._parameters, self._values, known, before)
+            done = yield from gcs_ids.apply(self._flight, self._parameters, self._values, known, before)
             if not done or now is None:
-                c.alarm("ownership not restored", low=before.low, high=before.high, options=before.options)
+                timeline.alarm("ownership not restored", low=before.low, high=before.high, options=before.options)
 
     def _use_a_link_that_is_heard(self) -> None:
-        c = self._c
-        station = c.fence.station_id.removesuffix(VEHICLE_STATION)
-        if not c.monitor.heard_within(c.now_s, station, HEARD_S):
-            best = max(c.monitor.links.values(), key=lambda link: link.heard_s)
-            c.grant(best.station_id, "the vehicle is heard over its link")
+        vehicle, control = self._vehicle, self._control
+        station = control.in_force.station_id
+        if not vehicle.monitor.heard_within(self._timeline.now_s, station, HEARD_S):
+            best = max(vehicle.monitor.links.values(), key=lambda link: link.heard_s)
+            control.grant(best.station_id, "the vehicle is heard over its link")

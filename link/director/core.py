@@ -11,43 +11,26 @@ heartbeats included: silence is what the autopilot's failsafe understands.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError, check_operator_command
-from link.autopilot.registry import PROFILES
-from link.clock import TickGrid, TickLateness, UtcScale
+from link.clock import TickGrid, TickLateness
 from link.dialect import mavlink
 from link.director.airborne import Airborne
 from link.director.launch import Launch
+from link.director.link_upkeep import LinkUpkeep
 from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
-from link.microservices.command import Commander
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
-from link.session.context import VEHICLE_STATION, FlightContext, plain
+from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
-from link.setpoints.local_projection import LocalProjection
-from link.telemetry.link_path import FAILOVER_S, IDLE_FAILOVER_S, LinkPath
-from link.telemetry.setpoint_echo import EchoTracker
-from link.telemetry.vehicle_monitor import VehicleMonitor
-from link.transport.gate import TransmitterGate
+from link.session.timeline import plain
+from link.telemetry.link_path import LinkPath
 from link.transport.url import parse_url
 from link.wire.codec import StationCodec
-
-__all__ = ["FlightCore", "FlightRequest"]
-
-HEARTBEAT_S = 0.5
-"""Twice as often as is usual: ArduPilot returns after 5 s without one, which at 10 % loss would come once in 30 hours
-with one a second (of 5 in a row each lost), and at 30 % once in 10 minutes."""
-PROBE_S = 1.0
-GROUND_PROBE_S = 0.25
-FAST_PROBE_S = 0.1
-"""Every link is probed once a second; that of the station in control, and of the next one when near, this often."""
-
-ECHO_MEMORY_S = 5.0
 
 OnFrame = Callable[[float, bytes], None]
 
@@ -69,48 +52,19 @@ class FlightCore:
         epoch_unix_s: float = 0.0,
         on_frame: OnFrame | None = None,
     ) -> None:
-        plan = request.flown_plan
-        profile = PROFILES[request.autopilot]
-        self.stations = request.stations
-        system_ids = {
-            s: int(plan.mission.stations[plan.mission.station_index(s)].system_id or 0) for s in self.stations
-        }
-        self.codecs = dict(codecs) if codecs is not None else {s: StationCodec(i) for s, i in system_ids.items()}
-        vehicle = plan.mission.options.vehicle_system_id
-        encoders = {station: codec.encode for station, codec in self.codecs.items()}
-        for station, codec in self.codecs.items():
-            encoders[station + VEHICLE_STATION] = StationCodec(vehicle, 190, signing=codec.signing).encode
-        gate = TransmitterGate(encoders)
-        # Stations that share a link hear the same bytes; each link has a decoder of its own.
-        urls = request.urls
-        self._sharing = {
-            url: tuple(t for t in self.stations if url in urls[t]) for s in self.stations for url in urls[s]
-        }
-        self._decoders = {}
-        for url, sharing in self._sharing.items():
-            codec = self.codecs[sharing[0]]
-            stream = parse_url(url).is_stream
-            self._decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
-        monitor = VehicleMonitor(self.stations, vehicle, frozenset(system_ids.values()) | {vehicle}, urls)
-        ids = {**system_ids, **{s + VEHICLE_STATION: vehicle for s in self.stations}}
-        self.context = FlightContext(
-            request=request,
-            plan=plan,
-            profile=profile,
-            gate=gate,
-            monitor=monitor,
-            commander=Commander(gate.send, ids),
-            echoes=EchoTracker(runs_on=profile.target_runs_on, memory=math.ceil(ECHO_MEMORY_S * request.rate_hz)),
-            utc=UtcScale(epoch_unix_s),
-            system_ids=ids,
-            local=LocalProjection(plan.plane),
-            now_s=now_s,
-        )
-        self.parameters = ParameterClient(gate.send, vehicle, profile.parameter_encoding)
-        self.missions = MissionClient(gate.send)
-        self.launch = Launch(self.context, self.parameters, self.missions)
-        self.airborne = Airborne(self.context, self.launch)
-        self.announcer = Announcer(self.context, self.airborne)
+        own = {station: StationCodec(system_id) for station, system_id in request.system_ids.items()}
+        self.codecs = own if codecs is None else dict(codecs)
+        self.context = flight = FlightContext.begin(request, self.codecs, now_s=now_s, epoch_unix_s=epoch_unix_s)
+        self._timeline, self._vehicle, self._control = flight.timeline, flight.vehicle, flight.control
+        self._sharing = _sharing(request)
+        self._decoders = _decoders(self._sharing, self.codecs)
+        send, encoding = flight.control.gate.send, flight.vehicle.profile.parameter_encoding
+        self.parameters = ParameterClient(send, flight.vehicle.system_id, encoding)
+        self.missions = MissionClient(send)
+        self.launch = Launch(flight, self.parameters, self.missions)
+        self.airborne = Airborne(flight)
+        self.links = LinkUpkeep(flight, self.airborne)
+        self.announcer = Announcer(flight, self.airborne)
         self.lateness = TickLateness()
         self.finished = False
         self._on_frame = on_frame
@@ -119,100 +73,97 @@ class FlightCore:
         self._restoring: Steps[None] | None = None
         self._streams: Steps[None] | None = None
         self._streamed: tuple[int, LinkPath] | None = None
-        self._beat: dict[str, float] = {}
-        self._probed: dict[str, float] = {}
-        self._near: set[str | None] = set()
 
     @property
     def state(self) -> FlightState:
         """Where the flight stands."""
-        return self.context.state
+        return self._timeline.state
 
     def start(self, now_s: float) -> None:
         """Lay the grid of ticks from now on (where setting up took time that must not count as late)."""
-        self.context.now_s = now_s
+        self._timeline.now_s = now_s
         self._grid = TickGrid(self.context.request.rate_hz, now_s)
 
     # -- bytes --------------------------------------------------------------------------------------------------------
 
     def receive(self, station_id: str, data: bytes, now_s: float, url: str | None = None) -> None:
         """Take what came in over a station's link, or the one of its links named. Never raises for what is in it."""
-        c = self.context
-        c.now_s = max(c.now_s, now_s)
-        url = url or c.monitor.links[station_id].paths[0].url
+        timeline, monitor = self._timeline, self._vehicle.monitor
+        timeline.now_s = max(timeline.now_s, now_s)
+        url = url or monitor.links[station_id].paths[0].url
         for message in self._decoders[url].decode(data):
             if self._on_frame is not None:
-                self._on_frame(c.now_s, bytes(message.get_msgbuf()))
-            heard = [c.monitor.receive(c.now_s, station, message, url) for station in self._sharing[url]]
-            if not any(heard):
-                continue
-            kind = message.get_type()
-            if kind == "COMMAND_ACK":
-                c.commander.on_ack(c.now_s, message)
-            elif kind == "PARAM_VALUE":
-                parameter = self.parameters.on_value(message)
-                if c.keeper is not None and parameter is not None:
-                    c.keeper.on_value(parameter.name, parameter.value)
-            elif kind == "PARAM_ERROR":
-                self.parameters.on_error(message)
-            elif kind.startswith("MISSION_"):
-                self.missions.on_message(c.now_s, message)
+                self._on_frame(timeline.now_s, bytes(message.get_msgbuf()))
+            heard = [monitor.receive(timeline.now_s, station, message, url) for station in self._sharing[url]]
+            if any(heard):
+                self._pass_on(message)
+
+    def _pass_on(self, message: Any) -> None:
+        """An answer of the vehicle, to whoever asked."""
+        kind, now_s, manager = message.get_type(), self._timeline.now_s, self._control.id_manager
+        if kind == "COMMAND_ACK":
+            self._control.commander.on_ack(now_s, message)
+        elif kind == "PARAM_VALUE":
+            parameter = self.parameters.on_value(message)
+            if manager is not None and parameter is not None:
+                manager.on_value(parameter.name, parameter.value)
+        elif kind == "PARAM_ERROR":
+            self.parameters.on_error(message)
+        elif kind.startswith("MISSION_"):
+            self.missions.on_message(now_s, message)
 
     def step(self, now_s: float) -> float:
         """Serve the tick that is due, if one is; the next deadline."""
         tick = self._grid.due(now_s)
         if tick is None:
             return self._grid.deadline_s
-        c = self.context
-        c.now_s = max(c.now_s, now_s)
-        self.lateness.add(tick.lateness_s / c.request.speedup, tick.skipped)
+        request, timeline, control = self.context.request, self._timeline, self._control
+        timeline.now_s = max(timeline.now_s, now_s)
+        self.lateness.add(tick.lateness_s / request.speedup, tick.skipped)
         if not self.finished:
-            self._choose_links()
-            self._direct((1 + tick.skipped) / c.request.rate_hz)
-            c.commander.step(c.now_s)
-            self.parameters.step(c.now_s)
-            self.missions.step(c.now_s)
-            if c.keeper is not None and c.state.airborne:
-                c.keeper.step(c.now_s)
-            self._heartbeats()
-            self._probes()
+            self.links.choose()
+            self._direct((1 + tick.skipped) / request.rate_hz)
+            control.commander.step(timeline.now_s)
+            self.parameters.step(timeline.now_s)
+            self.missions.step(timeline.now_s)
+            if control.id_manager is not None and timeline.state.airborne:
+                control.id_manager.step(timeline.now_s)
+            self.links.heartbeats()
+            self.links.probes()
         return self._grid.deadline_s
 
     def tell(self) -> None:
         """What can wait until the tick's frames are out: texts, progress, the schedule. After every `step`."""
-        c = self.context
-        for severity, text in c.monitor.take_texts():
-            c.emit(EventKind.TEXT, severity=severity, text=text)
+        for severity, text in self._vehicle.monitor.take_texts():
+            self._timeline.emit(EventKind.TEXT, severity=severity, text=text)
         if not self.finished:
             self.announcer.update()
 
     def routes(self, station_id: str, frame: bytes) -> tuple[str, ...]:
         """The URLs a frame of a station goes out over: a probe over all its links, all else over the one that sends."""
-        link = self.context.monitor.links[station_id]
+        link = self._vehicle.monitor.links[station_id]
         if int.from_bytes(frame[7:10], "little") == mavlink.MAVLINK_MSG_ID_TIMESYNC:
             return tuple(path.url for path in link.paths)
         return (link.active.url,)
 
     def take_outgoing(self) -> list[tuple[str, bytes]]:
         """Frames to send now, in order, each with its station."""
-        outgoing = [(station.removesuffix(VEHICLE_STATION), f) for station, f in self.context.gate.take_outgoing()]
+        outgoing = [(sender.station_id, frame) for sender, frame in self._control.gate.take_outgoing()]
         if self._on_frame is not None:
             for _, frame in outgoing:
-                self._on_frame(self.context.now_s, frame)
+                self._on_frame(self._timeline.now_s, frame)
         return outgoing
 
     def take_events(self) -> list[FlightEvent]:
         """Events since the last call."""
-        events, self.context.events = self.context.events, []
-        return events
+        return self._timeline.take_events()
 
     # -- the director -------------------------------------------------------------------------------------------------
 
     def _direct(self, dt_s: float) -> None:
-        c = self.context
         if self._procedure is not None:
             self._advance_launch()
-        elif c.state.ended:
+        elif self._timeline.state.ended:
             self._finish()
         else:
             self.airborne.tick(dt_s)
@@ -230,100 +181,63 @@ class FlightCore:
             self._refuse(str(refusal))
 
     def _refuse(self, reason: str) -> None:
-        c = self.context
-        c.become(FlightState.CONTINGENCY if c.state is FlightState.TAKEOFF else FlightState.REFUSED, reason)
+        climbing = self._timeline.state is FlightState.TAKEOFF
+        self._timeline.become(FlightState.CONTINGENCY if climbing else FlightState.REFUSED, reason)
 
     def _finish(self) -> None:
-        """Give back what was taken from the vehicle, then say how it ended."""
-        c = self.context
+        """Give back what was taken from the vehicle, say how it ended, and let nobody send any more."""
+        gate = self._control.gate
         if self._restoring is None:
-            c.gate.accompany(None)
-            if c.state is FlightState.LOST or c.armed:
-                self.launch.loan.forget()
+            gate.accompany(None)
+            if self._timeline.state is FlightState.LOST or self._vehicle.armed:
+                self.launch.borrowed.forget()
             self._restoring = self.launch.restore()
         try:
             next(self._restoring)
         except StopIteration:
             self.finished = True
-            c.emit(EventKind.RESULT, **self.summary())
+            self._timeline.emit(EventKind.RESULT, **self.summary())
+            gate.revoke()
 
     def summary(self) -> dict[str, Any]:
         """How the flight went, in figures."""
-        c, air = self.context, self.airborne
+        timeline, air = self._timeline, self.airborne
         return {
-            "outcome": c.state.value,
-            "exit_code": c.state.exit_code if c.state.ended else None,
-            "plan_sha256": c.plan.plan_sha256,
-            "flown_s": None if c.launched_s is None else round(c.now_s - c.launched_s, 3),
-            "setpoints": c.setpoints_sent,
-            "handovers": air.relay.leg,
+            "outcome": timeline.state.value,
+            "exit_code": timeline.state.exit_code if timeline.state.ended else None,
+            "plan_sha256": self.context.plan.plan_sha256,
+            "flown_s": None if timeline.t_plus_s is None else round(timeline.t_plus_s, 3),
+            "setpoints": self._control.setpoints_sent,
+            "handovers": air.chain.leg,
             "tracking_rms_m": round(air.lag.rms_m, 3),
             "tracking_worst_m": round(air.lag.worst_m, 3),
             "lateness": self.lateness.to_document(),
-            "links": {link.station_id: link.to_document(c.now_s) for link in c.monitor.links.values()},
+            "links": self._links(),
         }
+
+    def _links(self) -> dict[str, Any]:
+        now_s = self._timeline.now_s
+        return {link.station_id: link.to_document(now_s) for link in self._vehicle.monitor.links.values()}
 
     def _ask_for_telemetry(self) -> None:
         """The station in control asks for what the flight is watched by, on every link that has come to send."""
-        relay = self.airborne.relay
-        sends = self.context.monitor.links[self.context.plan.station_ids[relay.leg]].active
-        if (relay.leg, sends) != self._streamed and not relay.moving:
+        chain = self.airborne.chain
+        sends = self._vehicle.monitor.links[self.context.plan.station_ids[chain.leg]].active
+        if (chain.leg, sends) != self._streamed and not chain.moving:
             if self._streamed is not None:
                 self._streams = self.launch.request_streams()
-            self._streamed = (relay.leg, sends)
-        if self._streams is not None and not relay.moving:
+            self._streamed = (chain.leg, sends)
+        if self._streams is not None and not chain.moving:
             try:
                 next(self._streams)
             except StopIteration:
                 self._streams = None
 
-    # -- heartbeats and probes ----------------------------------------------------------------------------------------
-
-    def _heartbeats(self) -> None:
-        c = self.context
-        for station in (c.gate.holder, c.gate.incoming):
-            if station is None or station.endswith(VEHICLE_STATION):
-                continue
-            if c.now_s - self._beat.get(station, -math.inf) >= HEARTBEAT_S - 1e-6:
-                self._beat[station] = c.now_s
-                c.gate.heartbeat(station, _heartbeat())
-
-    def _choose_links(self) -> None:
-        """Let another of a station's links send where it is proved and the present one is not."""
-        c = self.context
-        for link in c.monitor.links.values():
-            if len(link.paths) == 1:
-                continue
-            near = link.station_id in self._near or not c.state.airborne
-            before = link.choose(FAILOVER_S if near else IDLE_FAILOVER_S)
-            if before and near:
-                c.emit(EventKind.LINK, station=link.station_id, url=link.active.url, before=before)
-
-    def _probes(self) -> None:
-        c = self.context
-        near = self._near = {c.gate.holder}
-        every_s = PROBE_S
-        if not c.state.airborne:
-            # On the ground every link is to be judged within seconds, losses or not.
-            every_s = GROUND_PROBE_S
-        if c.state.airborne and not self.airborne.line:
-            relay, time_s = self.airborne.relay, self.airborne.reference.time_s
-            for border in (relay.ahead(backwards=False), relay.ahead(backwards=True)):
-                if border is not None and border.near(time_s):
-                    near.add(border.to_station)
-        for station in self.stations:
-            due_s = FAST_PROBE_S if station in near else every_s
-            if c.now_s - self._probed.get(station, -math.inf) >= due_s - 1e-6:
-                self._probed[station] = c.now_s
-                # A station the vehicle does not hear proves its link with the id that is always heard.
-                deaf = c.keeper is not None and station != c.gate.holder and not c.keeper.hears(station)
-                c.gate.probe(station + VEHICLE_STATION if deaf else station, c.monitor.probe(c.now_s, station))
-
-    # -- words --------------------------------------------------------------------------------------------------------
+    # -- operator commands --------------------------------------------------------------------------------------------
 
     def command(
         self,
-        word: OperatorCommand | str,
+        command: OperatorCommand | str,
         *,
         by: str = "",
         handover: int | None = None,
@@ -334,33 +248,36 @@ class FlightCore:
         join_s: float | None = None,
         leave_s: float | None = None,
     ) -> None:
-        """An operator command.
+        """An operator's command.
 
         ``handover`` is the index that READY, ACCEPT and REFUSE are about; ``until_s`` the plan's time for AUTHORISE.
         ``plan_sha256``, where given, must be that of the plan being flown. ``upcoming`` (from `make_ready`), ``join_s``
         and ``leave_s`` are for REPLAN: see `link.director.airborne.Airborne.adopt`.
 
-        Raises `gcs.flight.TransitionError` (also for an unknown word) and changes nothing then.
+        Raises `gcs.flight.TransitionError` (also for an unknown command) and changes nothing then.
         """
-        c = self.context
         try:
-            word = OperatorCommand(word)
+            command = OperatorCommand(command)
         except ValueError:
-            raise TransitionError(f"unknown word {word!r}; allowed is {', '.join(sorted(OperatorCommand))}") from None
-        if plan_sha256 is not None and plan_sha256 != c.plan.plan_sha256:
-            raise TransitionError(f"'{word}' is for another plan ({plan_sha256[:12]}...) than the one being flown")
-        check_operator_command(word, c.state)
-        if word in (OperatorCommand.READY, OperatorCommand.ACCEPT, OperatorCommand.REFUSE) and handover is None:
-            raise TransitionError(f"'{word}' needs the index of a handover")
-        if word is OperatorCommand.AUTHORISE and (until_s is None or not until_s >= 0.0):
+            raise TransitionError(
+                f"unknown word {command!r}; allowed is {', '.join(sorted(OperatorCommand))}"
+            ) from None
+        if plan_sha256 is not None and plan_sha256 != self.context.plan.plan_sha256:
+            raise TransitionError(f"'{command}' is for another plan ({plan_sha256[:12]}...) than the one being flown")
+        check_operator_command(command, self._timeline.state)
+        if command in (OperatorCommand.READY, OperatorCommand.ACCEPT, OperatorCommand.REFUSE) and handover is None:
+            raise TransitionError(f"'{command}' needs the index of a handover")
+        if command is OperatorCommand.AUTHORISE and (until_s is None or not until_s >= 0.0):
             raise TransitionError("'authorise' needs until_s, a time of the plan, 0 or more")
-        if word is OperatorCommand.REPLAN:
+        if command is OperatorCommand.REPLAN:
             if upcoming is None:
                 raise TransitionError("'replan' needs a plan made ready for this flight")
             self.airborne.adopt(upcoming, join_s, leave_s)
         else:
-            self._obey(word, handover or 0, until_s or 0.0, reason or by or "word")
-        c.emit(EventKind.OPERATOR_COMMAND, word=word.value, by=by, handover=handover, until_s=until_s, reason=reason)
+            self._obey(command, handover or 0, until_s or 0.0, reason or by or "word")
+        self._timeline.emit(
+            EventKind.OPERATOR_COMMAND, word=command.value, by=by, handover=handover, until_s=until_s, reason=reason
+        )
 
     def make_ready(self, document: Mapping[str, Any]) -> NextPlan:
         """A plan document judged and prepared for REPLAN; slow, and safe in a thread beside the flight.
@@ -369,30 +286,29 @@ class FlightCore:
         """
         return make_ready(document, self.context, self.launch.values)
 
-    def _obey(self, word: OperatorCommand, handover: int, until_s: float, reason: str) -> None:
+    def _obey(self, command: OperatorCommand, handover: int, until_s: float, reason: str) -> None:
         air = self.airborne
-        if word is OperatorCommand.LAUNCH:
-            self.launch.launch_word = True
-        elif word is OperatorCommand.HOLD:
+        if command is OperatorCommand.LAUNCH:
+            self.launch.commanded = True
+        elif command is OperatorCommand.HOLD:
             air.hold()
-        elif word is OperatorCommand.RESUME:
+        elif command is OperatorCommand.RESUME:
             air.resume()
-        elif word is OperatorCommand.ABORT:
+        elif command is OperatorCommand.ABORT:
             self._abort(reason)
-        elif word is OperatorCommand.LAND:
+        elif command is OperatorCommand.LAND:
             self._land()
-        elif word is OperatorCommand.AUTHORISE:
+        elif command is OperatorCommand.AUTHORISE:
             air.authorise(until_s)
-        elif word is OperatorCommand.REFUSE:
-            air.relay.refuse(handover, reason)
+        elif command is OperatorCommand.REFUSE:
+            air.chain.refuse(handover, reason)
         else:
-            air.relay.accept(handover)
+            air.chain.accept(handover)
 
     def _abort(self, reason: str) -> None:
-        c = self.context
         if self._procedure is None:
             self.airborne.contingency(f"abort: {reason}")
-        elif c.state is FlightState.TAKEOFF:
+        elif self._timeline.state is FlightState.TAKEOFF:
             self._land()
         else:
             # On the ground: motors off, parameters back, done.
@@ -405,9 +321,8 @@ class FlightCore:
         self.airborne.land()
 
     def _stop_on_ground(self, reason: str) -> Steps[None]:
-        c = self.context
-        if c.gate.fence is not None and c.armed:
-            ticket = c.start_command("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
+        if self._control.gate.in_force is not None and self._vehicle.armed:
+            ticket = self._control.start_command("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
             while not ticket.finished:
                 yield
         yield from self.launch.restore()
@@ -418,7 +333,7 @@ class FlightCore:
     def parent_gone(self) -> None:
         """Nobody can speak to the flight any more: it goes on as far as authorised, and a hold ends by itself."""
         self.airborne.attended = False
-        self.context.alarm("nobody attends the flight")
+        self._timeline.alarm("nobody attends the flight")
 
     def parent_back(self) -> None:
         """Somebody can speak again."""
@@ -426,18 +341,18 @@ class FlightCore:
 
     def status(self) -> dict[str, Any]:
         """The flight now, as JSON."""
-        c, judged_s = self.context, self.launch.preflight_s
+        timeline, grant, age_s = self._timeline, self._control.gate.in_force, self.launch.preflight_age_s
         document = {
-            "flight_id": c.request.flight_id,
-            "state": c.state.value,
-            "time_s": round(c.now_s, 3),
-            "utc": c.utc.text(c.now_s),
-            "t_plus_s": None if c.launched_s is None else round(c.now_s - c.launched_s, 3),
-            "plan_sha256": c.plan.plan_sha256,
+            "flight_id": self.context.request.flight_id,
+            "state": timeline.state.value,
+            "time_s": round(timeline.now_s, 3),
+            "utc": timeline.utc.text(timeline.now_s),
+            "t_plus_s": None if timeline.t_plus_s is None else round(timeline.t_plus_s, 3),
+            "plan_sha256": self.context.plan.plan_sha256,
             "preflight_id": self.launch.preflight_id,
-            "preflight_age_s": None if math.isinf(judged_s) else round(c.now_s - judged_s, 1),
-            "fence": None if c.gate.fence is None else c.gate.fence.number,
-            "loss_timeout_s": self.launch.loss_timeout_s,
+            "preflight_age_s": None if age_s is None else round(age_s, 1),
+            "fence": None if grant is None else grant.number,
+            "loss_timeout_s": self._vehicle.loss_timeout_s,
             **self.announcer.where(),
             "lateness": self.lateness.to_document(),
         }
@@ -445,7 +360,21 @@ class FlightCore:
         return clean
 
 
-def _heartbeat() -> Any:
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-    )
+def _sharing(request: FlightRequest) -> dict[str, tuple[str, ...]]:
+    """The stations of each URL: those that share a link hear the same bytes."""
+    urls = request.urls
+    return {
+        url: tuple(other for other in request.stations if url in urls[other])
+        for station in request.stations
+        for url in urls[station]
+    }
+
+
+def _decoders(sharing: Mapping[str, tuple[str, ...]], codecs: Mapping[str, StationCodec]) -> dict[str, StationCodec]:
+    """A decoder for each URL, signed as the first of its stations is."""
+    decoders = {}
+    for url, stations in sharing.items():
+        codec = codecs[stations[0]]
+        stream = parse_url(url).is_stream
+        decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
+    return decoders

@@ -7,32 +7,66 @@ station in control; otherwise the flight goes back along the path, which is alwa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from gcs.flight import EventKind
 from gcs.plan import Plan
-
-Vector = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class WayOut:
-    """``divert_to`` a safe point at once, or back along the path, leaving it at a time of the plan for a safe point."""
-
-    divert_to: str | None = None
-    leave_for: tuple[float, str] | None = None
+from link.director.guidance import Guidance, Vector
+from link.handover.handover_chain import HandoverChain
+from link.session.context import FlightContext
 
 
-def way_out(plan: Plan, time_s: float) -> WayOut:
-    """What the plan says for a time of it; back to the start where it says nothing."""
-    for way in plan.contingencies:
-        if way.from_s <= time_s <= way.to_s and way.safe_point is not None:
-            if way.action == "divert":
-                return WayOut(divert_to=way.safe_point)
-            if way.leave_path_s is not None:
-                return WayOut(leave_for=(way.leave_path_s, way.safe_point))
-    return WayOut()
+class Diversion:
+    """Where the contingency being flown leaves the path, if it does: `choose`, then follow it tick by tick."""
+
+    def __init__(self, flight: FlightContext, chain: HandoverChain, guidance: Guidance) -> None:
+        self._flight = flight
+        self._chain = chain
+        self._guidance = guidance
+        self._to_enu_m: Vector | None = None
+        self._leave_for: tuple[float, str] | None = None
+
+    def choose(self) -> None:
+        """By what the plan says for where the flight is: a safe point at once, one further back, or the start."""
+        plan, time_s = self._flight.plan, self._guidance.reference.time_s
+        self._to_enu_m = self._leave_for = None
+        for contingency in plan.contingencies:
+            if contingency.from_s <= time_s <= contingency.to_s and contingency.safe_point is not None:
+                if contingency.action == "divert":
+                    self._to_enu_m = self._over(contingency.safe_point)
+                    return
+                if contingency.leave_path_s is not None:
+                    self._leave_for = (contingency.leave_path_s, contingency.safe_point)
+                    return
+
+    @property
+    def turning_off(self) -> bool:
+        """Whether the flight is to stop here and leave the path, by `turn_off`."""
+        return self._to_enu_m is not None
+
+    def turn_off(self) -> None:
+        """Leave the path for the safe point, from rest."""
+        assert self._to_enu_m is not None
+        self._guidance.divert(self._to_enu_m)
+        self._to_enu_m = None
+        reason = "to the safe point"
+        self._flight.timeline.emit(EventKind.STATE, **{"from": "returning", "to": "returning", "reason": reason})
+
+    @property
+    def due(self) -> bool:
+        """Whether the flight has come back to where the contingency leaves the path."""
+        return self._leave_for is not None and self._guidance.reference.time_s <= self._leave_for[0]
+
+    def leave_path(self) -> None:
+        """Turn off here; on along the path where the way to the safe point is not covered from here."""
+        assert self._leave_for is not None
+        self._to_enu_m, self._leave_for = self._over(self._leave_for[1]), None
+
+    def _over(self, safe_point: str) -> Vector | None:
+        """The place over a safe point; None where the way there from the stop is not in the range of this station."""
+        plan = self._flight.plan
+        station_index = plan.trajectory.sequence[self._chain.leg]
+        return over_safe_point(plan, station_index, self._guidance.stop_enu_m, safe_point)
 
 
 def over_safe_point(plan: Plan, station_index: int, stop_enu_m: Vector, safe_point: str) -> Vector | None:

@@ -14,8 +14,11 @@ LANDED_WAIT_S = 1800.0
 class Landing:
     """`begin`, then every tick: `down`?, `ask`, `overdue`?"""
 
-    def __init__(self, context: FlightContext) -> None:
-        self._c = context
+    def __init__(self, flight: FlightContext) -> None:
+        self._request = flight.request
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
         self.outcome = FlightState.COMPLETED
         """How the flight ends with it."""
         self.seen = False
@@ -26,26 +29,25 @@ class Landing:
     def begin(self, outcome: FlightState) -> None:
         """Land from now on, and end so."""
         self.outcome, self.seen = outcome, False
-        self._since_s, self._asked_s = self._c.now_s, -math.inf
+        self._since_s, self._asked_s = self._timeline.now_s, -math.inf
 
     @property
     def down(self) -> bool:
         """Whether the vehicle has disarmed since."""
-        heartbeat = self._c.monitor.heartbeat
-        return heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > self._since_s
+        return self._vehicle.disarmed_since(self._since_s)
 
     def ask(self) -> None:
         """Ask for the mode, now and then, while the vehicle does not show it."""
-        c = self._c
-        lands = c.mode == c.profile.land_mode
+        timeline, vehicle = self._timeline, self._vehicle
+        lands = vehicle.mode == vehicle.profile.land_mode
         self.seen = self.seen or lands
-        if not lands and c.now_s - self._asked_s >= REASK_S:
-            self._asked_s = c.now_s
-            c.start_mode(c.profile.land_mode)
+        if not lands and timeline.now_s - self._asked_s >= REASK_S:
+            self._asked_s = timeline.now_s
+            self._control.start_mode(vehicle.profile.land_mode)
 
     @property
     def overdue(self) -> bool:
         """Whether nothing has been heard of the vehicle, or no landing seen, for too long."""
-        c = self._c
-        silent_s = c.now_s - c.monitor.last_heard_s()
-        return silent_s > c.request.lost_after_s or c.now_s - self._since_s > LANDED_WAIT_S
+        timeline = self._timeline
+        silent_s = timeline.now_s - self._vehicle.monitor.last_heard_s()
+        return silent_s > self._request.lost_after_s or timeline.now_s - self._since_s > LANDED_WAIT_S

@@ -1,22 +1,22 @@
 """From open links to a vehicle in the air at the height of the plan's start.
 
-connect -> identify -> preflight -> (word) -> mode, arm, take-off (`link.director.takeoff`). Nothing is armed before
-every check has passed; what is changed in the vehicle for the flight is lent (`link.director.borrowed_settings`).
+connect -> identify -> preflight -> (launch command) -> mode, arm, take-off (`link.director.takeoff`). Nothing is armed
+before every check has passed; what is changed in the vehicle for the flight is borrowed
+(`link.director.borrowed_settings`).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
 from gcs.flight import EventKind, FlightState
 from gcs.plan import Place, failsafe_returns
 from link.dialect import mavlink
-from link.director.borrowed_settings import Loan
+from link.director.borrowed_settings import BorrowedSettings
 from link.director.takeoff import TakeOff
-from link.handover import gcs_ownership
-from link.handover.gcs_ownership import Ownership
+from link.handover import gcs_ids
+from link.handover.gcs_ids import GcsIds
 from link.handover.handover_chain import attempt_time_s
 from link.microservices.command import Ticket
 from link.microservices.mission_client import MissionClient
@@ -37,7 +37,7 @@ from link.preflight.vehicle import (
     judge_plan,
     judge_vehicle,
 )
-from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps, answered, wait_until
 from link.transport.url import is_local
 
@@ -46,6 +46,7 @@ LINKS_WAIT_S = 8.0
 HEARD_S = 3.0
 QUALITY_WAIT_S = 4.0
 PREFLIGHT_VALID_S = 60.0
+"""A flight is launched on a preflight younger than this, by the wall's clock: it is a person who relies on it."""
 SIMULATOR_PARAMETER = "SIM_SPEEDUP"
 
 STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
@@ -61,115 +62,122 @@ STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
 
 
 class Launch:
-    """The procedure on the ground and the climb. ``send_hold`` streams the setpoint it is given every tick."""
+    """The procedure on the ground and the climb. ``commanded``: whether the operator has said to go."""
 
-    def __init__(self, context: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
-        self._c = context
+    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
+        self._flight = flight
+        self._request = flight.request
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
         self.parameters = parameters
-        self.loan = Loan(context, parameters, missions)
+        self.borrowed = BorrowedSettings(flight, parameters, missions)
         self.values: dict[str, Parameter | None] = {}
         self.asking = Asking()
         self.checks: list[Check] = []
         self.simulator_speedup: float | None = None
-        self.loss_timeout_s = 1.0
         self.ground_amsl_m = 0.0
-        self.launch_word = context.request.auto_launch
-        self.preflight_s = -math.inf
+        self.commanded = flight.request.auto_launch
         self.preflight_id = 0
+        self._passed_s: float | None = None
+        """The flight's clock when the last preflight passed."""
 
     def run(self) -> Steps[None]:
         """All of it. Raises `Refused` while the vehicle is on the ground."""
         yield from self._connect()
         yield from self._identify()
         yield from self._preflight()
-        yield from self._wait_for_word()
-        self._c.become(FlightState.ARMING, "launch")
-        yield from TakeOff(self._c, self.restore).run(self.ground_amsl_m)
+        yield from self._wait_for_command()
+        self._timeline.become(FlightState.ARMING, "launch")
+        yield from TakeOff(self._flight, self.restore).run(self.ground_amsl_m)
 
     # -- connect ------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> Steps[None]:
-        c = self._c
-        first = c.plan.station_ids[0]
-        c.grant(first, "first station")
+        timeline, vehicle = self._timeline, self._vehicle
+        first = self._flight.plan.station_ids[0]
+        self._control.grant(first, "first station")
         heard = yield from wait_until(
-            c,
-            lambda: c.monitor.heartbeat is not None and c.monitor.heard_within(c.now_s, first, HEARD_S),
-            c.request.connect_timeout_s,
+            timeline,
+            lambda: (
+                vehicle.monitor.heartbeat is not None and vehicle.monitor.heard_within(timeline.now_s, first, HEARD_S)
+            ),
+            self._request.connect_timeout_s,
         )
         if not heard:
-            over = (
-                f"no heartbeat of system {c.vehicle}, component 1 over the link of {first} ({c.request.shown(first)})"
-            )
+            over = f"over the link of {first} ({self._request.shown(first)}) in {self._request.connect_timeout_s:g} s"
             raise Refused(
-                f"{over} in {c.request.connect_timeout_s:g} s: is the vehicle there, its id and the link right?"
+                f"no heartbeat of system {vehicle.system_id}, component 1 {over}: "
+                "is the vehicle there, its id and the link right?"
             )
-        heartbeat = c.monitor.heartbeat
+        heartbeat = vehicle.monitor.heartbeat
         assert heartbeat is not None
-        if heartbeat.autopilot != c.profile.autopilot_id:
+        if heartbeat.autopilot != vehicle.profile.autopilot_id:
             raise Refused(
-                f"the vehicle's autopilot is number {heartbeat.autopilot}, not {c.profile.title}: choose its own"
+                f"the vehicle's autopilot is number {heartbeat.autopilot}, not {vehicle.profile.title}: choose its own"
             )
-        yield from wait_until(c, lambda: all(self._link_works(s) for s in c.monitor.links), LINKS_WAIT_S)
+        yield from wait_until(timeline, lambda: all(self._link_works(s) for s in vehicle.monitor.links), LINKS_WAIT_S)
 
     def _link_works(self, station: str) -> bool:
-        c = self._c
-        return c.monitor.heard_within(c.now_s, station, HEARD_S) and c.monitor.proven_within(c.now_s, station, HEARD_S)
+        now_s, monitor = self._timeline.now_s, self._vehicle.monitor
+        return monitor.heard_within(now_s, station, HEARD_S) and monitor.proven_within(now_s, station, HEARD_S)
 
     # -- identify -----------------------------------------------------------------------------------------------------
 
     def _identify(self) -> Steps[None]:
-        c = self._c
-        c.become(FlightState.IDENTIFYING)
+        vehicle, control = self._vehicle, self._control
+        self._timeline.become(FlightState.IDENTIFYING)
         yield from self._break_in()
         yield from self.request_streams()
-        yield from self._request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, lambda: c.monitor.version is not None, 5.0)
-        if c.monitor.version is not None:
-            capabilities = int(c.monitor.version.capabilities)
-            self.parameters.encoding = encoding_of(capabilities, c.profile.parameter_encoding)
+        yield from self._ask_for_message(
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, lambda: vehicle.monitor.version is not None, 5.0
+        )
+        if vehicle.monitor.version is not None:
+            capabilities = int(vehicle.monitor.version.capabilities)
+            self.parameters.encoding = encoding_of(capabilities, vehicle.profile.parameter_encoding)
         # The EKF lays its origin once it has a position: on a cold vehicle that takes most of a minute.
-        first = c.plan.station_ids[0]
-        known = yield from self._request(
+        first = self._flight.plan.station_ids[0]
+        known = yield from self._ask_for_message(
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-            lambda: c.monitor.links[first].origin is not None and c.monitor.position is not None,
-            c.request.arm_timeout_s,
+            lambda: vehicle.monitor.links[first].origin is not None and vehicle.monitor.position is not None,
+            self._request.arm_timeout_s,
         )
         if not known:
             raise Refused(
-                f"no position and EKF origin in {c.request.arm_timeout_s:g} s: does the vehicle have satellites?"
+                f"no position and EKF origin in {self._request.arm_timeout_s:g} s: does the vehicle have satellites?"
             )
-        c.origin = c.monitor.links[first].origin
-        for station in dict.fromkeys(c.plan.station_ids):
+        vehicle.origin = vehicle.monitor.links[first].origin
+        for station in dict.fromkeys(self._flight.plan.station_ids):
             # Every link in turn, in control for a moment, still on the ground: what it will carry is tried now.
             if station != first and self._link_works(station):
-                c.grant(station, "link check on the ground")
-                yield from self._request(
+                control.grant(station, "link check on the ground")
+                yield from self._ask_for_message(
                     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-                    lambda s=station: c.monitor.links[s].origin is not None,  # type: ignore[misc]
+                    lambda s=station: vehicle.monitor.links[s].origin is not None,  # type: ignore[misc]
                     3.0,
                 )
-        c.grant(first, "first station")
+        control.grant(first, "first station")
 
     def _break_in(self) -> Steps[None]:
         """A vehicle that enforces other stations' ids answers nothing: say so, or open it with its own id."""
-        c = self._c
+        control = self._control
         ticket = yield from self._command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,))
-        if ticket.result is not None or not c.profile.filters_station_ids:
+        if ticket.result is not None or not self._vehicle.profile.filters_station_ids:
             return
         hint = "it may be locked to other stations' ids (MAV_OPTIONS bit 0)"
-        if not c.request.rescue:
+        if not self._request.rescue:
             raise Refused(f"the vehicle is heard but answers no command: {hint}; allow the rescue to take it over")
-        first = c.plan.station_ids[0]
-        c.grant(first + "!", "rescue")
+        first = self._flight.plan.station_ids[0]
+        control.grant(first, "rescue", as_vehicle=True)
         yield from self._read()
-        before = gcs_ownership.present(self.values)
+        before = gcs_ids.present(self.values)
         if before is None:
             raise Refused("the vehicle answers nothing, under its own id either")
-        c.alarm("rescue", low=before.low, high=before.high, options=before.options)
-        self.loan.remember(self.values, before)
-        after = Ownership(before.low, before.high, before.options & ~gcs_ownership.ENFORCE)
-        yield from gcs_ownership.apply(c, self.parameters, self.values, before, after)
-        c.grant(first, "rescued")
+        self._timeline.alarm("rescue", low=before.low, high=before.high, options=before.options)
+        self.borrowed.remember(self.values, before)
+        after = GcsIds(before.low, before.high, before.options & ~gcs_ids.ENFORCE)
+        yield from gcs_ids.apply(self._flight, self.parameters, self.values, before, after)
+        control.grant(first, "rescued")
 
     def request_streams(self) -> Steps[None]:
         """Ask for the telemetry the flight is watched by, on the link of the station in control."""
@@ -177,30 +185,30 @@ class Launch:
             params = (float(message_id), 1e6 / rate_hz)
             yield from self._command("message interval", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, params)
 
-    def _request(self, message_id: int, arrived: Callable[[], bool], timeout_s: float) -> Steps[bool]:
+    def _ask_for_message(self, message_id: int, arrived: Callable[[], bool], timeout_s: float) -> Steps[bool]:
         """Ask for a message until it is there."""
-        c = self._c
-        deadline_s = c.now_s + timeout_s
-        while not arrived() and c.now_s < deadline_s:
+        timeline = self._timeline
+        deadline_s = timeline.now_s + timeout_s
+        while not arrived() and timeline.now_s < deadline_s:
             yield from self._command("request message", mavlink.MAV_CMD_REQUEST_MESSAGE, (float(message_id),))
-            yield from wait_until(c, arrived, min(1.0, max(0.0, deadline_s - c.now_s)))
+            yield from wait_until(timeline, arrived, min(1.0, max(0.0, deadline_s - timeline.now_s)))
         return arrived()
 
     # -- preflight ----------------------------------------------------------------------------------------------------
 
     def _preflight(self) -> Steps[None]:
-        c = self._c
-        c.become(FlightState.PREFLIGHT)
+        timeline, vehicle = self._timeline, self._vehicle
+        timeline.become(FlightState.PREFLIGHT)
         yield from self._read()
         checks = [*self._judge_vehicle(), *(yield from self._failsafes())]
-        checks += judge_performance(c.profile, self.values, c.plan)
-        position = c.position_enu_m()
+        checks += judge_performance(vehicle.profile, self.values, self._flight.plan)
+        position = vehicle.position_enu_m()
         assert position is not None
-        self.ground_amsl_m = position[2] + c.plan.plane.alt_amsl_m
-        checks += judge_place(c.plan, position, self.ground_amsl_m, c.request)
-        checks.append(judge_lowest(c.plan, self.ground_amsl_m))
-        checks += judge_stops(c.plan, self._loss_timeout_s())
-        checks += judge_limits(c.profile, self.values, c.plan, position)
+        self.ground_amsl_m = position[2] + self._flight.plan.plane.alt_amsl_m
+        checks += judge_place(self._flight.plan, position, self.ground_amsl_m, self._request)
+        checks.append(judge_lowest(self._flight.plan, self.ground_amsl_m))
+        checks += judge_stops(self._flight.plan, self._loss_timeout_s())
+        checks += judge_limits(vehicle.profile, self.values, self._flight.plan, position)
         checks += yield from self._judge_links()
         if not any(check.blocks for check in checks):
             checks += yield from self._borrow(position)
@@ -208,9 +216,16 @@ class Launch:
         if worst(checks) >= Level.FAILURE:
             yield from self.restore()
             raise Refused("preflight: " + "; ".join(_said(check) for check in worst_first(checks) if check.blocks))
-        self.loss_timeout_s = self._loss_timeout_s()
-        self.preflight_s = c.now_s
-        c.become(FlightState.READY, "preflight passed")
+        vehicle.loss_timeout_s = self._loss_timeout_s()
+        self._passed_s = timeline.now_s
+        timeline.become(FlightState.READY, "preflight passed")
+
+    @property
+    def preflight_age_s(self) -> float | None:
+        """How long ago the last preflight passed, by the wall's clock; None where none has."""
+        if self._passed_s is None:
+            return None
+        return (self._timeline.now_s - self._passed_s) / self._request.speedup
 
     def _loss_timeout_s(self) -> float:
         """How long the autopilot goes without setpoints, by what was read of it."""
@@ -221,29 +236,33 @@ class Launch:
         self.checks = checks
         self.preflight_id += 1
         for check in checks:
-            self._c.emit(EventKind.CHECK, preflight=self.preflight_id, **check.to_document())
+            self._timeline.emit(EventKind.CHECK, preflight=self.preflight_id, **check.to_document())
 
     def _judge_vehicle(self) -> list[Check]:
         """Who it is and how it stands."""
-        c = self._c
-        heartbeat, version = c.monitor.heartbeat, c.monitor.version
+        vehicle = self._vehicle
+        heartbeat, version = vehicle.monitor.heartbeat, vehicle.monitor.version
         assert heartbeat is not None
         simulated = self.simulator_speedup is not None
         identity = None if version is None else Identity.from_message(version)
-        unix = c.monitor.unix_s
-        told = None if unix is None else (unix[0], c.utc.unix_s(unix[1]))
+        unix = vehicle.monitor.unix_s
+        told = None if unix is None else (unix[0], self._timeline.utc.unix_s(unix[1]))
         return [
-            *judge_identity(c.profile, identity, heartbeat.vehicle_type),
+            *judge_identity(vehicle.profile, identity, heartbeat.vehicle_type),
             *judge_vehicle(
                 armed=heartbeat.armed,
-                landed_state=c.monitor.landed_state,
-                battery_percent=c.monitor.battery_percent,
+                landed_state=vehicle.monitor.landed_state,
+                battery_percent=vehicle.monitor.battery_percent,
                 simulator_speedup=self.simulator_speedup,
-                speedup=c.request.speedup,
+                speedup=self._request.speedup,
             ),
-            judge_origin(c.origin),
+            judge_origin(vehicle.origin),
             judge_clock(None if told is None else told[0], 0.0 if told is None else told[1], simulated=simulated),
-            judge_plan(c.plan, tuple(dict.fromkeys(c.plan.station_ids)), operator_commands=c.request.operator_words),
+            judge_plan(
+                self._flight.plan,
+                tuple(dict.fromkeys(self._flight.plan.station_ids)),
+                operator_commands=self._request.operator_words,
+            ),
         ]
 
     def _read(self) -> Steps[None]:
@@ -251,14 +270,14 @@ class Launch:
 
         On a link that may have lost every answer to a question, what is missing is asked for again.
         """
-        known = self._c.profile.parameters
+        known = self._vehicle.profile.parameters
         names = [*(name for parameter in known for name in parameter.names), SIMULATOR_PARAMETER]
         asked: dict[str, Asked] = {}
         for attempts in range(ATTEMPTS, MOST_ATTEMPTS + 1, ATTEMPTS):
             missing = [name for name in names if name not in asked or not (asked[name].answer or asked[name].denied)]
-            again = self.parameters.read(missing, self._c.fence)
+            again = self.parameters.read(missing, self._control.in_force)
             asked.update({one.name: one for one in again})
-            yield from wait_until(self._c, lambda a=again: all(one.finished for one in a), 60.0)  # type: ignore[misc]
+            yield from wait_until(self._timeline, lambda a=again: all(one.finished for one in a), 60.0)  # type: ignore[misc]
             denied = frozenset(one.name for one in asked.values() if one.denied)
             self.asking = Asking(attempts, self._loss(), denied)
             if not self.asking.unsure:
@@ -273,87 +292,92 @@ class Launch:
 
     def _loss(self) -> float | None:
         """Share of questions that go unanswered lately on the link of the station in control, by its probes."""
-        station = self._c.fence.station_id.removesuffix(VEHICLE_STATION)
-        return self._c.monitor.links[station].active.round_loss(self._c.now_s)
+        station = self._control.in_force.station_id
+        return self._vehicle.monitor.links[station].active.round_loss(self._timeline.now_s)
 
     def _failsafes(self) -> Steps[list[Check]]:
         """Judge the parameters; set what is unsafe where that is allowed, and judge again what is read back."""
-        c = self._c
-        checks = judge_parameters(c.profile, self.values, c.request, self.asking)
-        allowed = c.request.set_parameters == "yes" or (
-            c.request.set_parameters == "auto" and self.simulator_speedup is not None
+        timeline, vehicle = self._timeline, self._vehicle
+        checks = judge_parameters(vehicle.profile, self.values, self._request, self.asking)
+        allowed = self._request.set_parameters == "yes" or (
+            self._request.set_parameters == "auto" and self.simulator_speedup is not None
         )
         unsafe = [check for check in checks if check.level is not Level.PASS and check.set is not None]
-        heartbeat = c.monitor.heartbeat
+        heartbeat = vehicle.monitor.heartbeat
         if not unsafe or not allowed or heartbeat is None or heartbeat.armed:
             return checks
         for check in unsafe:
             assert check.set is not None
             name, value = check.set
-            setting = self.parameters.set(name, value, c.fence)
-            yield from wait_until(c, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
-            c.emit(EventKind.PARAMETER, name=name, before=check.value, after=value if setting.confirmed else None)
+            setting = self.parameters.set(name, value, self._control.in_force)
+            yield from wait_until(timeline, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
+            timeline.emit(
+                EventKind.PARAMETER, name=name, before=check.value, after=value if setting.confirmed else None
+            )
         yield from self._read()
-        return judge_parameters(c.profile, self.values, c.request, self.asking)
+        return judge_parameters(vehicle.profile, self.values, self._request, self.asking)
 
     def _judge_links(self) -> Steps[list[Check]]:
         """Every station's link: heard and answered. A real vehicle on the ground is out of most stations' range."""
-        c = self._c
-        first = c.plan.station_ids[0]
+        timeline, vehicle = self._timeline, self._vehicle
+        first = self._flight.plan.station_ids[0]
         simulated = self.simulator_speedup is not None
-        yield from wait_until(c, lambda: all(self._link_works(s) for s in c.monitor.links), LINKS_WAIT_S)
+        yield from wait_until(timeline, lambda: all(self._link_works(s) for s in vehicle.monitor.links), LINKS_WAIT_S)
         # A figure for the quality needs a few probes that are over.
         yield from wait_until(
-            c, lambda: all(link.quality(c.now_s) is not None for link in c.monitor.links.values()), QUALITY_WAIT_S
+            timeline,
+            lambda: all(link.quality(timeline.now_s) is not None for link in vehicle.monitor.links.values()),
+            QUALITY_WAIT_S,
         )
-        attempt_s = attempt_time_s(c.request, self._loss_timeout_s())
+        attempt_s = attempt_time_s(self._request, self._loss_timeout_s())
         checks: list[Check] = []
-        for station in dict.fromkeys(c.plan.station_ids):
-            link, urls = c.monitor.links[station], c.request.urls[station]
+        for station in dict.fromkeys(self._flight.plan.station_ids):
+            link, urls = vehicle.monitor.links[station], self._request.urls[station]
             checks += judge_link(
                 station,
                 ", ".join(urls),
                 works=self._link_works(station),
-                same_origin=link.origin is None or c.origin is None or link.origin == c.origin,
+                same_origin=link.origin is None or vehicle.origin is None or link.origin == vehicle.origin,
                 required=station == first or simulated,
-                quality=link.quality(c.now_s),
+                quality=link.quality(timeline.now_s),
                 attempt_s=attempt_s,
-                signed=c.request.signing_key is not None,
-                loopback=not c.request.allow_unsigned or all(is_local(url) for url in urls),
+                signed=self._request.signing_key is not None,
+                loopback=not self._request.allow_unsigned or all(is_local(url) for url in urls),
             )
         return checks
 
-    # -- what is lent -------------------------------------------------------------------------------------------------
+    # -- what is borrowed ---------------------------------------------------------------------------------------------
 
     def _borrow(self, home_enu_m: Place) -> Steps[list[Check]]:
-        """Ownership, rally points and fence for the flight; and where the vehicle would go by itself with them."""
-        c, loan = self._c, self.loan
-        checks = yield from loan.take_ownership(self.values)
+        """GCS ids, rally points and geofence for the flight; and where the vehicle would go by itself with them."""
+        borrowed = self.borrowed
+        checks = yield from borrowed.take_gcs_ids(self.values)
         if any(check.blocks for check in checks):
             return checks
-        checks += yield from loan.take_rally(self.ground_amsl_m)
-        checks += yield from loan.take_fence(self.values, home_enu_m)
-        rules = return_rules(c.profile, self.values, c.plan, home_enu_m, loan.points)
-        returns = failsafe_returns(c.plan.geometry, c.plan.trajectory, rules)
-        return [*checks, *judge_failsafe_return(c.plan, rules, returns)]
+        checks += yield from borrowed.take_rally(self.ground_amsl_m)
+        checks += yield from borrowed.take_geofence(self.values, home_enu_m)
+        rules = return_rules(self._vehicle.profile, self.values, self._flight.plan, home_enu_m, borrowed.points)
+        returns = failsafe_returns(self._flight.plan.geometry, self._flight.plan.trajectory, rules)
+        return [*checks, *judge_failsafe_return(self._flight.plan, rules, returns)]
 
     def restore(self) -> Steps[None]:
         """Give back what was changed in the vehicle for this flight; on the ground, disarmed."""
-        yield from self.loan.give_back()
+        yield from self.borrowed.give_back()
 
-    # -- the word -----------------------------------------------------------------------------------------------------
+    # -- the launch command -------------------------------------------------------------------------------------------
 
-    def _wait_for_word(self) -> Steps[None]:
-        c = self._c
-        if not (yield from wait_until(c, lambda: self.launch_word, c.request.launch_timeout_s)):
+    def _wait_for_command(self) -> Steps[None]:
+        timeline = self._timeline
+        if not (yield from wait_until(timeline, lambda: self.commanded, self._request.launch_timeout_s)):
             yield from self.restore()
-            raise Refused(f"no word to launch in {c.request.launch_timeout_s:g} s")
-        if c.now_s - self.preflight_s > PREFLIGHT_VALID_S:
+            raise Refused(f"no word to launch in {self._request.launch_timeout_s:g} s")
+        age_s = self.preflight_age_s
+        if age_s is None or age_s >= PREFLIGHT_VALID_S:
             yield from self._preflight()
 
     def _command(self, name: str, command: int, params: tuple[Any, ...]) -> Steps[Ticket]:
-        ticket = yield from answered(self._c.start_command(name, command, tuple(float(p) for p in params)))
-        self._c.emit(EventKind.COMMAND, name=name, result=ticket.outcome, attempts=ticket.sent)
+        ticket = yield from answered(self._control.start_command(name, command, tuple(float(p) for p in params)))
+        self._timeline.emit(EventKind.COMMAND, name=name, result=ticket.outcome, attempts=ticket.sent)
         return ticket
 
 

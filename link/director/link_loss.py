@@ -1,10 +1,10 @@
-"""After a lapse: silence, and the way back on a person's word alone.
+"""After the C2 link was lost: silence, and re-entry on an operator's command alone.
 
 The stream may have been missed for longer than the autopilot tolerates, or the vehicle left the mode or restarted.
 Sending on as if nothing had happened would be a hazard: PX4 takes a stream that resumes as leave to go back to OFFBOARD
 unasked, and ArduPilot would race after a reference that has moved on. So nothing is sent but what stops the vehicle:
-where PX4 still shows OFFBOARD it is told to HOLD. Nobody's word within the limit: the autopilot's own return, or
-landing, as asked for.
+where PX4 still shows OFFBOARD it is told to HOLD. No command within the limit: the autopilot's failsafe return,
+or landing, as asked for.
 
 Re-entry: a link that is proved, a station whose range holds the vehicle, HOLD first (PX4), a second of setpoints at
 the place where the vehicle is, the mode, its HEARTBEAT; then a straight transit to the nearest point of the path in
@@ -18,10 +18,9 @@ import math
 import numpy as np
 
 from gcs.flight import FlightState
-from link.handover.handover_chain import Relay
+from link.handover.handover_chain import HandoverChain
 from link.session.context import FlightContext
-from link.session.procedure import Steps, pause, wait_until
-from link.setpoints.sampler import SetpointSampler
+from link.session.procedure import Steps, wait_until
 from link.setpoints.straight_line import StraightLine
 
 REASK_S = 1.5
@@ -29,18 +28,20 @@ BETTER_LINK_S = 1.0
 PROVEN_S = 1.0
 SEARCH_S = 120.0
 """How far along the plan, both ways, the nearest point of the path is looked for."""
-
-
 NEARER_M = 1.0
+"""Another leg than the present one is joined only where it is so much nearer."""
 
 
-class Lapse:
-    """The state LAPSED. `tick` gives the time of the plan to join at once re-entry has succeeded."""
+class LostC2Link:
+    """The flight while it is `FlightState.LAPSED`. `tick` gives the time of the plan to join, once it is back in."""
 
-    def __init__(self, context: FlightContext, relay: Relay, stream: SetpointSampler) -> None:
-        self._c = context
-        self._relay = relay
-        self._stream = stream
+    def __init__(self, flight: FlightContext, chain: HandoverChain) -> None:
+        self._flight = flight
+        self._request = flight.request
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
+        self._chain = chain
         self.ended: tuple[FlightState, str] | None = None
         self._plan_s = 0.0
         self._pin = False
@@ -50,47 +51,43 @@ class Lapse:
         self._told = False
         self._entry: Steps[float] | None = None
 
-    def adopt(self, stream: SetpointSampler) -> None:
-        """Another plan is being flown."""
-        self._stream = stream
-
     def begin(self, plan_s: float, *, pin: bool) -> None:
-        """The flight lapsed at ``plan_s`` of the plan. ``pin``: by our silence, so PX4 would take a stream up again."""
-        self._plan_s, self._pin, self._since_s = plan_s, pin, self._c.now_s
+        """The link was lost at ``plan_s`` of the plan. ``pin``: by our silence, so PX4 would take a stream up again."""
+        self._plan_s, self._pin, self._since_s = plan_s, pin, self._timeline.now_s
         self._asked_s, self._resort, self._entry, self.ended = -math.inf, False, None, None
         self._told = False
 
     def resume(self) -> None:
-        """A person's word: begin re-entry."""
+        """The operator's command: begin re-entry."""
         self._entry = self._enter()
 
     def last_resort(self) -> None:
-        """Hand the vehicle to its own return, or landing, as the request says."""
+        """Hand the vehicle to its failsafe return, or landing, as the request says."""
         self._resort, self._entry = True, None
         self._asked_s = -math.inf
 
     def tick(self) -> float | None:
         """One tick; the time of the plan to join, once back in."""
-        c, heartbeat = self._c, self._c.monitor.heartbeat
-        if heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > self._since_s:
-            ended = FlightState.CONTINGENCY if c.on_ground else FlightState.LOST
+        timeline, vehicle = self._timeline, self._vehicle
+        if vehicle.disarmed_since(self._since_s):
+            ended = FlightState.CONTINGENCY if vehicle.on_ground else FlightState.LOST
             self.ended = (ended, "the vehicle disarmed by itself")
             return None
-        silent_s = c.now_s - c.monitor.last_heard_s()
-        if silent_s > c.request.lost_after_s:
+        silent_s = timeline.now_s - vehicle.monitor.last_heard_s()
+        if silent_s > self._request.lost_after_s:
             self.ended = (FlightState.LOST, f"nothing heard for {silent_s:.0f} s")
             return None
         if self._entry is not None:
             return self._advance()
         self._use_best_link()
-        if c.now_s - self._asked_s < REASK_S:
+        if timeline.now_s - self._asked_s < REASK_S:
             return None
-        drifting = c.mode in (c.profile.offboard_mode, c.profile.hold_mode)
-        if self._resort or (c.now_s - self._since_s >= c.request.hold_limit_s and drifting):
+        drifting = vehicle.mode in (vehicle.profile.offboard_mode, vehicle.profile.hold_mode)
+        if self._resort or (timeline.now_s - self._since_s >= self._request.hold_limit_s and drifting):
             self._command_last_resort()
-        elif self._pin and c.profile.resumes_offboard_unasked and c.mode == c.profile.offboard_mode:
-            self._asked_s = c.now_s
-            c.start_mode(c.profile.hold_mode)
+        elif self._pin and vehicle.profile.resumes_offboard_unasked and vehicle.mode == vehicle.profile.offboard_mode:
+            self._asked_s = timeline.now_s
+            self._control.start_mode(vehicle.profile.hold_mode)
         return None
 
     def _advance(self) -> float | None:
@@ -102,82 +99,81 @@ class Lapse:
             return float(end.value)
         except _NoWayBack as reason:
             self._entry = None
-            self._c.alarm("cannot resume", reason=str(reason))
+            self._timeline.alarm("cannot resume", reason=str(reason))
         return None
 
     def _use_best_link(self) -> None:
         """What little is said goes over the link proved last."""
-        c = self._c
-        best = max(c.monitor.links.values(), key=lambda link: link.proven_s)
-        if best.proven_s > c.monitor.links[c.fence.station_id].proven_s + BETTER_LINK_S:
-            c.grant(best.station_id, "the link proved last")
+        vehicle, control = self._vehicle, self._control
+        best = max(vehicle.monitor.links.values(), key=lambda link: link.proven_s)
+        if best.proven_s > vehicle.monitor.links[control.in_force.station_id].proven_s + BETTER_LINK_S:
+            control.grant(best.station_id, "the link proved last")
 
     def _command_last_resort(self) -> None:
-        c = self._c
-        mode = {"return": c.profile.return_mode, "land": c.profile.land_mode}.get(c.request.last_resort)
+        timeline, vehicle = self._timeline, self._vehicle
+        mode = {"return": vehicle.profile.return_mode, "land": vehicle.profile.land_mode}.get(self._request.last_resort)
         if mode is None:
-            self.ended = (FlightState.LOST, f"left to the autopilot, which shows {c.mode}")
-        elif c.mode != mode:
+            self.ended = (FlightState.LOST, f"left to the autopilot, which shows {vehicle.mode}")
+        elif vehicle.mode != mode:
             if not self._told:
                 self._told = True
-                c.alarm("last resort", mode=mode)
-            self._asked_s = c.now_s
-            c.start_mode(mode)
+                timeline.alarm("last resort", mode=mode)
+            self._asked_s = timeline.now_s
+            self._control.start_mode(mode)
 
     # -- back in ------------------------------------------------------------------------------------------------------
 
     def _enter(self) -> Steps[float]:
-        c = self._c
-        here = c.position_enu_m()
-        if here is None or c.monitor.position is None or c.now_s - c.monitor.position.heard_s > 2.0:
+        timeline, vehicle, control = self._timeline, self._vehicle, self._control
+        here = vehicle.position_enu_m()
+        if here is None or vehicle.monitor.position is None or timeline.now_s - vehicle.monitor.position.heard_s > 2.0:
             raise _NoWayBack("no fresh position")
         leg, join_s = self._where(np.array(here))
-        station = c.plan.station_ids[leg]
-        self._relay.leg = leg
-        c.grant(station, "resume")
-        c.adopt_origin(station)
-        if c.profile.resumes_offboard_unasked:
-            yield from self._mode(c.profile.hold_mode)
-        still = StraightLine(c.plan, leg, here, here, speed_m_s=1.0, climb_m_s=1.0, accel_m_s2=1.0)
-        if c.profile.stream_before_offboard_s > 0.0:
-            until_s = c.now_s + c.profile.stream_before_offboard_s + 0.5
-            while c.now_s < until_s:
-                c.send_setpoint(still.at(0.0))
+        station = self._flight.plan.station_ids[leg]
+        self._chain.leg = leg
+        control.grant(station, "resume")
+        vehicle.adopt_origin(station)
+        if vehicle.profile.resumes_offboard_unasked:
+            yield from self._mode(vehicle.profile.hold_mode)
+        still = StraightLine(self._flight.plan, leg, here, here, speed_m_s=1.0, climb_m_s=1.0, accel_m_s2=1.0)
+        if vehicle.profile.stream_before_offboard_s > 0.0:
+            until_s = timeline.now_s + vehicle.profile.stream_before_offboard_s + 0.5
+            while timeline.now_s < until_s:
+                control.send_setpoint(still.at(0.0))
                 yield
-            steps = self._mode(c.profile.offboard_mode)
+            steps = self._mode(vehicle.profile.offboard_mode)
             for _ in steps:
-                c.send_setpoint(still.at(0.0))
+                control.send_setpoint(still.at(0.0))
                 yield
         else:
-            yield from self._mode(c.profile.offboard_mode)
-        yield from pause(c, 0.0)
+            yield from self._mode(vehicle.profile.offboard_mode)
         return join_s
 
     def _mode(self, mode: str) -> Steps[None]:
-        c = self._c
+        vehicle = self._vehicle
         for _ in range(3):
-            if c.mode == mode:
+            if vehicle.mode == mode:
                 return
-            c.start_mode(mode)
-            yield from wait_until(c, lambda: c.mode == mode, 3.0)
-        if c.mode != mode:
-            raise _NoWayBack(f"the vehicle does not enter {mode}: it shows {c.mode}")
+            self._control.start_mode(mode)
+            yield from wait_until(self._timeline, lambda: vehicle.mode == mode, 3.0)
+        if vehicle.mode != mode:
+            raise _NoWayBack(f"the vehicle does not enter {mode}: it shows {vehicle.mode}")
 
     def _where(self, here: np.ndarray) -> tuple[int, float]:
         """The leg whose station can take the vehicle now, and the nearest time of the plan in its coverage."""
-        c, relay, plan = self._c, self._relay, self._c.plan
+        chain, plan = self._chain, self._flight.plan
         best: tuple[float, int, float] | None = None
         # The present leg first: another must be nearer to be preferred.
-        legs = sorted(range(len(plan.trajectory.sequence)), key=lambda leg: abs(leg - relay.leg))
+        legs = sorted(range(len(plan.trajectory.sequence)), key=lambda leg: abs(leg - chain.leg))
         for leg in legs:
             index = plan.trajectory.sequence[leg]
             station = plan.mission.stations[index].id
-            if not c.monitor.proven_within(c.now_s, station, PROVEN_S):
+            if not self._vehicle.monitor.proven_within(self._timeline.now_s, station, PROVEN_S):
                 continue
             if float(plan.geometry.outside_m(np.array([index]), here[None, :])[0]) > 0.0:
                 continue
-            low = relay.borders[leg - 1].open_s if leg > 0 else 0.0
-            high = relay.borders[leg].limit_s if leg < len(relay.borders) else plan.mission_time_s
+            low = chain.windows[leg - 1].open_s if leg > 0 else 0.0
+            high = chain.windows[leg].limit_s if leg < len(chain.windows) else plan.mission_time_s
             low, high = max(low, self._plan_s - SEARCH_S), min(high, self._plan_s + SEARCH_S)
             if low >= high:
                 continue
@@ -188,10 +184,10 @@ class Lapse:
                 best = (float(away[k]), leg, float(times[k]))
         if best is None:
             raise _NoWayBack("no station that is proved covers the vehicle near its path")
-        if best[0] > c.request.max_transit_m:
-            raise _NoWayBack(f"the path is {best[0]:.0f} m away, allowed is {c.request.max_transit_m:g} m")
+        if best[0] > self._request.max_transit_m:
+            raise _NoWayBack(f"the path is {best[0]:.0f} m away, allowed is {self._request.max_transit_m:g} m")
         return best[1], best[2]
 
 
 class _NoWayBack(Exception):  # noqa: N818
-    """Re-entry is not possible now; the flight stays lapsed."""
+    """Re-entry is not possible now; we stay silent."""

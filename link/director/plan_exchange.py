@@ -1,9 +1,9 @@
 """Another plan for a flight in the air: made ready beside the flight, then taken over between two ticks.
 
 A plan may be exchanged for another only where both ask for the same position, velocity and acceleration, and by the
-station in control (`gcs.planning.replan` makes such plans). So nothing of a join is left to do: the reference goes on
-at the same place, at the same rate, on another curve. A plan that came too late, or is for another moment, does not fit
-and is refused; the flight goes on as it was.
+station in control (`gcs.planning.replanning` makes such plans). So nothing of a join is left to do: the reference goes
+on at the same place, at the same rate, on another curve. A plan that came too late, or is for another moment, does not
+fit and is refused; the flight goes on as it was.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from gcs.errors import PlanError
 from gcs.flight import TransitionError
 from gcs.plan import Plan, read_plan
-from link.handover.handover import borders
+from link.handover.handover import handover_windows
 from link.preflight.check import Check, Level, worst_first
 from link.preflight.route import judge_stops
 from link.preflight.vehicle import judge_performance
@@ -43,7 +43,7 @@ class NextPlan:
     reference: ReferenceTrajectory
 
 
-def make_ready(document: Mapping[str, Any], context: FlightContext, values: Mapping[str, Any]) -> NextPlan:
+def make_ready(document: Mapping[str, Any], flight: FlightContext, values: Mapping[str, Any]) -> NextPlan:
     """Read and judge a plan for a flight under way, and make its tables; takes a while, and touches nothing.
 
     ``values`` are the vehicle's parameters as read before the flight. Raises `TransitionError` with every reason why
@@ -53,14 +53,14 @@ def make_ready(document: Mapping[str, Any], context: FlightContext, values: Mapp
         plan = read_plan(document)
     except PlanError as error:
         raise TransitionError(f"this is no plan: {error}") from None
-    reasons = _unfit(plan, context)
-    reasons += [str(problem) for problem in launch_problems(plan, context.request)]
-    for check in judge_performance(context.profile, values, plan):
+    reasons = _unfit(plan, flight)
+    reasons += [str(problem) for problem in launch_problems(plan, flight.request)]
+    for check in judge_performance(flight.vehicle.profile, values, plan):
         if check.blocks:
             reasons.append(f"{check.name}: {check.message}")
     if reasons:
         raise TransitionError("the new plan cannot be flown: " + "; ".join(reasons))
-    stream = SetpointSampler(plan, context.request.rate_hz)
+    stream = SetpointSampler(plan, flight.request.rate_hz)
     stream.at(0.0)
     return NextPlan(plan, stream, ReferenceTrajectory(stream, accel_m_s2=plan.mission.limits.max_accel_m_s2))
 
@@ -78,19 +78,21 @@ def judge_next(plan: Plan, request: FlightRequest, *, loss_timeout_s: float, aft
     return worst_first([*problems, *judge_stops(plan, loss_timeout_s, after_s=after_s)])
 
 
-def _unfit(plan: Plan, context: FlightContext) -> list[str]:
+def _unfit(plan: Plan, flight: FlightContext) -> list[str]:
     reasons = []
-    if plan.plane != context.plan.plane:
+    if plan.plane != flight.plan.plane:
         reasons.append("it is laid out in another plane than the one being flown")
     vehicle = plan.mission.options.vehicle_system_id
-    if vehicle != context.vehicle:
-        reasons.append(f"it is for vehicle {vehicle}, this is {context.vehicle}")
+    if vehicle != flight.vehicle.system_id:
+        reasons.append(f"it is for vehicle {vehicle}, this is {flight.vehicle.system_id}")
     ids = {station.id: station.system_id for station in plan.mission.stations}
     for station in dict.fromkeys(plan.station_ids):
-        if station not in context.monitor.links:
+        if station not in flight.vehicle.monitor.links:
             reasons.append(f"{station} has no link in this flight")
-        elif ids[station] != context.system_ids[station]:
-            reasons.append(f"{station} has id {ids[station]} in it and {context.system_ids[station]} in this flight")
+        elif ids[station] != flight.control.system_ids[station]:
+            reasons.append(
+                f"{station} has id {ids[station]} in it and {flight.control.system_ids[station]} in this flight"
+            )
     return reasons
 
 
@@ -111,14 +113,14 @@ def time_and_leg(
         away_m = float(np.linalg.norm(np.subtract(there.position_enu_m, here.position_enu_m)))
         if away_m > STANDING_M or float(np.linalg.norm(there.velocity_enu_m_s)) > STANDING_M_S:
             raise TransitionError("the new plan begins at rest in another place than where the flight stands")
-    ids, ways = upcoming.plan.station_ids, borders(upcoming.plan)
+    ids, windows = upcoming.plan.station_ids, handover_windows(upcoming.plan)
     planned = upcoming.stream.leg_at(time_s)
     # A handover may have come a little later, or sooner, than planned.
     for leg in (planned, planned - 1, planned + 1):
         if not 0 <= leg < len(ids) or ids[leg] != station:
             continue
-        begins_s = ways[leg - 1].open_s if leg > 0 else 0.0
-        ends_s = ways[leg].limit_s - COVER_GUARD_S if leg < len(ways) else upcoming.stream.duration_s
+        begins_s = windows[leg - 1].open_s if leg > 0 else 0.0
+        ends_s = windows[leg].limit_s - COVER_GUARD_S if leg < len(windows) else upcoming.stream.duration_s
         if begins_s <= time_s <= ends_s:
             return time_s, leg
     raise TransitionError(f"the new plan has {ids[planned]} in control here, and {station} is")

@@ -18,38 +18,41 @@ BEHIND_RATE = 0.98
 class Announcer:
     """Emits progress, re-timed schedules and the alarms that are not somebody else's. `update` every tick."""
 
-    def __init__(self, context: FlightContext, airborne: Airborne) -> None:
-        self._c = context
+    def __init__(self, flight: FlightContext, airborne: Airborne) -> None:
+        self._flight = flight
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
         self._air = airborne
         self._progress_s = -math.inf
         self._shift_s = 0.0
         self._told_t0 = False
-        self._plan_sha256 = context.plan.plan_sha256
+        self._plan_sha256 = flight.plan.plan_sha256
         self._behind = False
         self._foreign: dict[int, float] = {}
 
     def update(self) -> None:
         """Tell what has changed."""
-        c = self._c
-        for system_id, heard_s in c.monitor.foreign_stations.items():
+        timeline = self._timeline
+        for system_id, heard_s in self._vehicle.monitor.foreign_stations.items():
             if heard_s - self._foreign.get(system_id, -math.inf) > FOREIGN_S:
-                c.alarm("another ground station is on the link", system_id=system_id)
+                timeline.alarm("another ground station is on the link", system_id=system_id)
                 self._foreign[system_id] = heard_s
-        if not c.state.airborne:
+        if not timeline.state.airborne:
             return
         self._retime()
         self._tell_behind()
-        if c.now_s - self._progress_s >= PROGRESS_S:
-            self._progress_s = c.now_s
-            c.emit(EventKind.PROGRESS, **self.where())
+        if timeline.now_s - self._progress_s >= PROGRESS_S:
+            self._progress_s = timeline.now_s
+            timeline.emit(EventKind.PROGRESS, **self.where())
 
     @property
     def shift_s(self) -> float | None:
         """How much later than planned the flight is; None before T+0 and off the plan."""
-        c = self._c
-        if c.launched_s is None or self._air.line:
+        t_plus_s, guidance = self._timeline.t_plus_s, self._air.guidance
+        if t_plus_s is None or not guidance.on_plan:
             return None
-        return c.now_s - c.launched_s - self._air.reference.time_s
+        return t_plus_s - guidance.reference.time_s
 
     def handovers_to_come(self) -> list[dict[str, Any]]:
         """Those ahead, with the T+ they are now expected at if the flight goes on at full rate."""
@@ -58,44 +61,45 @@ class Announcer:
             return []
         return [
             {"index": h.index, "from": h.from_station, "to": h.to_station, "t_plus_s": round(h.time_s + shift_s, 3)}
-            for h in self._c.plan.handovers[self._air.relay.leg :]
+            for h in self._flight.plan.handovers[self._air.chain.leg :]
         ]
 
     def _retime(self) -> None:
-        shift_s = self.shift_s
-        if shift_s is None or self._c.state not in (FlightState.CRUISE, FlightState.HOLDING):
+        timeline, shift_s = self._timeline, self.shift_s
+        if shift_s is None or timeline.state not in (FlightState.CRUISE, FlightState.HOLDING):
             return
         moved = abs(shift_s - self._shift_s)
         # While the flight stands the schedule slips all the time; it is told again when it goes on.
-        settled = self._air.reference.rate == 1.0
-        replanned = self._plan_sha256 != self._c.plan.plan_sha256
+        settled = self._air.guidance.reference.rate == 1.0
+        replanned = self._plan_sha256 != self._flight.plan.plan_sha256
         if not self._told_t0 or replanned or (moved >= RETIMED_S and settled):
-            self._told_t0, self._shift_s, self._plan_sha256 = True, shift_s, self._c.plan.plan_sha256
-            self._c.emit(EventKind.RETIMED, shift_s=round(shift_s, 3), handovers=self.handovers_to_come())
+            self._told_t0, self._shift_s, self._plan_sha256 = True, shift_s, self._flight.plan.plan_sha256
+            timeline.emit(EventKind.RETIMED, shift_s=round(shift_s, 3), handovers=self.handovers_to_come())
 
     def _tell_behind(self) -> None:
-        tracking = self._air.lag.tracking
-        if tracking is None or self._c.state is not FlightState.CRUISE:
+        timeline, reference, tracking = self._timeline, self._air.guidance.reference, self._air.lag.tracking
+        if tracking is None or timeline.state is not FlightState.CRUISE:
             return
-        behind = self._air.reference.rate < BEHIND_RATE and tracking.behind_m > 10.0
+        behind = reference.rate < BEHIND_RATE and tracking.behind_m > 10.0
         if behind and not self._behind:
-            self._c.alarm("the vehicle falls behind", behind_m=round(tracking.behind_m, 1))
-        if behind or self._air.reference.rate == 1.0:
+            timeline.alarm("the vehicle falls behind", behind_m=round(tracking.behind_m, 1))
+        if behind or reference.rate == 1.0:
             self._behind = behind
 
     def where(self) -> dict[str, Any]:
         """The flight now, as JSON."""
-        c, air = self._c, self._air
-        position, tracking = c.monitor.position, air.lag.tracking
+        timeline, vehicle, control = self._timeline, self._vehicle, self._control
+        air, reference = self._air, self._air.guidance.reference
+        position, tracking = vehicle.monitor.position, air.lag.tracking
         # On the ground nobody measures it by the tick.
         air.range.update()
-        station, margin_m = c.gate.holder, air.range.margin_m
+        station, margin_m = control.speaker, air.range.margin_m
         return {
             "station": station,
-            "plan_s": None if air.line else round(air.reference.time_s, 3),
-            "rate": round(air.reference.rate, 4),
-            "stands": air.reference.stands,
-            "lead_ms": round(air.lead.seconds * 1e3, 1),
+            "plan_s": round(reference.time_s, 3) if air.guidance.on_plan else None,
+            "rate": round(reference.rate, 4),
+            "stands": reference.stands,
+            "lead_ms": round(air.latency.ahead_s * 1e3, 1),
             "lat_deg": None if position is None else position.lat_deg,
             "lon_deg": None if position is None else position.lon_deg,
             "alt_amsl_m": None if position is None else position.alt_amsl_m,
@@ -105,12 +109,12 @@ class Announcer:
             "behind_m": None if tracking is None else round(tracking.behind_m, 2),
             "beside_m": None if tracking is None else round(tracking.beside_m, 2),
             "margin_m": None if margin_m is None else round(margin_m, 1),
-            "uplink_age_s": round(air.uplink.age_s, 3) if c.gate.fence is not None else None,
-            "mode": c.mode,
-            "armed": c.armed,
-            "battery_percent": c.monitor.battery_percent,
-            "handovers_done": air.relay.leg,
-            "held_for": air.held_for if c.state is FlightState.HOLDING else None,
+            "uplink_age_s": round(air.uplink.age_s, 3) if control.gate.in_force is not None else None,
+            "mode": vehicle.mode,
+            "armed": vehicle.armed,
+            "battery_percent": vehicle.monitor.battery_percent,
+            "handovers_done": air.chain.leg,
+            "held_for": air.held.text if timeline.state is FlightState.HOLDING else None,
             "handovers": self.handovers_to_come()[:1],
-            "links": {link.station_id: link.to_document(c.now_s) for link in c.monitor.links.values()},
+            "links": {link.station_id: link.to_document(timeline.now_s) for link in vehicle.monitor.links.values()},
         }

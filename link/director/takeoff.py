@@ -23,114 +23,120 @@ SETTLED_M_S = 0.7
 
 
 class TakeOff:
-    """The climb. ``restore`` gives back what was lent, where the vehicle stays on the ground after all."""
+    """The climb. ``restore`` gives back what was borrowed, where the vehicle stays on the ground after all."""
 
-    def __init__(self, context: FlightContext, restore: Callable[[], Steps[None]]) -> None:
-        self._c = context
+    def __init__(self, flight: FlightContext, restore: Callable[[], Steps[None]]) -> None:
+        self._flight = flight
+        self._request = flight.request
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
         self._restore = restore
 
     def run(self, ground_amsl_m: float) -> Steps[None]:
         """All of it, from the ground at that altitude. Raises `Refused` while the vehicle is on the ground."""
-        if self._c.profile.climbs_by_command:
-            yield from self._ardupilot(ground_amsl_m)
+        if self._vehicle.profile.climbs_by_command:
+            yield from self._climb_by_command(ground_amsl_m)
         else:
-            yield from self._px4(ground_amsl_m)
+            yield from self._climb_by_setpoints(ground_amsl_m)
 
-    def _ardupilot(self, ground_amsl_m: float) -> Steps[None]:
-        c = self._c
-        yield from self._enter(c.profile.offboard_mode, None)
+    def _climb_by_command(self, ground_amsl_m: float) -> Steps[None]:
+        timeline, vehicle = self._timeline, self._vehicle
+        yield from self._enter(vehicle.profile.offboard_mode, None)
         yield from self._arm(None)
-        c.become(FlightState.TAKEOFF)
-        start_up_m = float(c.plan.trajectory.evaluate(0.0)[2])
-        height_m = start_up_m + c.plan.plane.alt_amsl_m - ground_amsl_m
+        timeline.become(FlightState.TAKEOFF)
+        start_up_m = float(self._flight.plan.trajectory.evaluate(0.0)[2])
+        height_m = start_up_m + self._flight.plan.plane.alt_amsl_m - ground_amsl_m
         # Answered "failed" when an earlier answer was lost and it climbs already: the height tells.
-        climb = c.start_command("take-off", mavlink.MAV_CMD_NAV_TAKEOFF, (0.0,) * 6 + (height_m,))
+        climb = self._control.start_command("take-off", mavlink.MAV_CMD_NAV_TAKEOFF, (0.0,) * 6 + (height_m,))
         yield from answered(climb)
-        c.emit(EventKind.COMMAND, name="take-off", result=climb.outcome, attempts=climb.sent)
+        timeline.emit(EventKind.COMMAND, name="take-off", result=climb.outcome, attempts=climb.sent)
         limit_s = 30.0 + height_m / 0.5
-        climbed = yield from wait_until(c, lambda: self._at_height(start_up_m) or not c.armed, limit_s)
-        if not c.armed:
+        climbed = yield from wait_until(timeline, lambda: self._at_height(start_up_m) or not vehicle.armed, limit_s)
+        if not vehicle.armed:
             yield from self._restore()
             raise Refused("the vehicle disarmed again instead of climbing")
         if not climbed:
-            c.alarm("take-off stuck", height_m=height_m)
+            timeline.alarm("take-off stuck", height_m=height_m)
         # Arming lays home anew, and may tell the origin again.
-        c.adopt_origin(c.plan.station_ids[0])
+        vehicle.adopt_origin(self._flight.plan.station_ids[0])
 
     def _at_height(self, up_m: float) -> bool:
-        here, position = self._c.position_enu_m(), self._c.monitor.position
+        vehicle = self._vehicle
+        here, position = vehicle.position_enu_m(), vehicle.monitor.position
         if here is None or position is None:
             return False
         return abs(here[2] - up_m) <= SETTLED_M and abs(position.velocity_ned_m_s[2]) <= SETTLED_M_S
 
-    def _px4(self, ground_amsl_m: float) -> Steps[None]:
-        c = self._c
-        here = c.position_enu_m()
+    def _climb_by_setpoints(self, ground_amsl_m: float) -> Steps[None]:
+        timeline, vehicle, control = self._timeline, self._vehicle, self._control
+        here = vehicle.position_enu_m()
         assert here is not None
-        up_m = float(c.plan.trajectory.evaluate(0.0)[2])
+        up_m = float(self._flight.plan.trajectory.evaluate(0.0)[2])
         line = StraightLine(
-            c.plan,
+            self._flight.plan,
             0,
             here,
             (here[0], here[1], up_m),
-            speed_m_s=c.request.climb_m_s,
-            climb_m_s=c.request.climb_m_s,
+            speed_m_s=self._request.climb_m_s,
+            climb_m_s=self._request.climb_m_s,
             accel_m_s2=1.0,
         )
         climb = ReferenceTrajectory(line, accel_m_s2=1.0)
-        started_s = c.now_s
-        while c.now_s - started_s < c.profile.stream_before_offboard_s + 0.5:
-            c.send_setpoint(climb.setpoint())
+        started_s = timeline.now_s
+        while timeline.now_s - started_s < vehicle.profile.stream_before_offboard_s + 0.5:
+            control.send_setpoint(climb.setpoint())
             yield
-        yield from self._enter(c.profile.offboard_mode, climb.setpoint())
+        yield from self._enter(vehicle.profile.offboard_mode, climb.setpoint())
         yield from self._arm(climb.setpoint())
-        c.become(FlightState.TAKEOFF)
-        period_s = 1.0 / c.request.rate_hz
-        deadline_s = c.now_s + line.duration_s + 60.0
+        timeline.become(FlightState.TAKEOFF)
+        period_s = 1.0 / self._request.rate_hz
+        deadline_s = timeline.now_s + line.duration_s + 60.0
         while not (climb.finished and self._at_height(up_m)):
-            if not c.armed or not c.follows:
+            if not vehicle.armed or not vehicle.follows:
                 return
-            if c.now_s >= deadline_s:
-                c.alarm("take-off stuck", height_m=up_m + c.plan.plane.alt_amsl_m - ground_amsl_m)
+            if timeline.now_s >= deadline_s:
+                timeline.alarm("take-off stuck", height_m=up_m + self._flight.plan.plane.alt_amsl_m - ground_amsl_m)
                 return
             climb.step(period_s, 1.0)
-            c.send_setpoint(climb.setpoint())
+            control.send_setpoint(climb.setpoint())
             yield
 
     def _enter(self, mode: str, streamed: Setpoint | None) -> Steps[None]:
         """Enter a mode, disarmed; believes the HEARTBEAT. Raises `Refused`."""
-        c = self._c
+        vehicle, control = self._vehicle, self._control
         for _ in range(5):
-            ticket = c.start_mode(mode)
-            yield from self._streaming(streamed, lambda: c.mode == mode, MODE_WAIT_S)
-            c.commander.cancel(ticket)
-            if c.mode == mode:
-                c.emit(EventKind.COMMAND, name=f"mode {mode}", result=ticket.outcome, attempts=ticket.sent)
+            ticket = control.start_mode(mode)
+            yield from self._streaming(streamed, lambda: vehicle.mode == mode, MODE_WAIT_S)
+            control.commander.cancel(ticket)
+            if vehicle.mode == mode:
+                self._timeline.emit(EventKind.COMMAND, name=f"mode {mode}", result=ticket.outcome, attempts=ticket.sent)
                 return
         yield from self._restore()
-        raise Refused(f"the vehicle does not enter {mode}: it stays in {c.mode}")
+        raise Refused(f"the vehicle does not enter {mode}: it stays in {vehicle.mode}")
 
     def _arm(self, streamed: Setpoint | None) -> Steps[None]:
         """Arm, as often as it takes until the vehicle is ready. Raises `Refused` with its own words."""
-        c = self._c
-        deadline_s = c.now_s + c.request.arm_timeout_s
+        timeline, vehicle = self._timeline, self._vehicle
+        deadline_s = timeline.now_s + self._request.arm_timeout_s
         outcome = "no answer"
-        while c.now_s < deadline_s:
-            ticket = c.start_command("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
-            yield from self._streaming(streamed, lambda t=ticket: t.finished or c.armed, MODE_WAIT_S)  # type: ignore[misc]
+        while timeline.now_s < deadline_s:
+            ticket = self._control.start_command("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
+            yield from self._streaming(streamed, lambda t=ticket: t.finished or vehicle.armed, MODE_WAIT_S)  # type: ignore[misc]
             outcome = ticket.outcome
-            c.emit(EventKind.COMMAND, name="arm", result=outcome, attempts=ticket.sent)
+            timeline.emit(EventKind.COMMAND, name="arm", result=outcome, attempts=ticket.sent)
             # The next beat of a 1 Hz HEARTBEAT shows it; a refusal is asked again later.
-            yield from self._streaming(streamed, lambda: c.armed, 2.0)
-            if c.armed:
+            yield from self._streaming(streamed, lambda: vehicle.armed, 2.0)
+            if vehicle.armed:
                 return
         yield from self._restore()
         raise Refused(f"the vehicle does not arm ({outcome}): its own words are in the flight's events")
 
     def _streaming(self, setpoint: Setpoint | None, condition: Callable[[], bool], timeout_s: float) -> Steps[None]:
         """Wait for a condition, streaming a setpoint meanwhile where one is given."""
-        until_s = self._c.now_s + timeout_s
-        while not condition() and self._c.now_s < until_s:
+        timeline = self._timeline
+        until_s = timeline.now_s + timeout_s
+        while not condition() and timeline.now_s < until_s:
             if setpoint is not None:
-                self._c.send_setpoint(setpoint)
+                self._control.send_setpoint(setpoint)
             yield

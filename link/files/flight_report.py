@@ -18,29 +18,32 @@ log cannot tell (`link.files.link_report`). What is meant by the figures:
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gcs.plan import Plan
-from link.autopilot.local_frame import EkfOrigin
-from link.autopilot.profile import AutopilotProfile
-from link.autopilot.registry import PROFILES, profile_of_setpoints
+from link.autopilot.registry import PROFILES
 from link.errors import ReportError
+from link.files.comparison import (
+    ON_PATH_M,
+    PlannedPath,
+    TrackingErrors,
+    last_moving,
+    launch_time_s,
+    least_margin,
+    to_plane,
+    tracking_errors,
+)
+from link.files.flight_log import Sent, collect, station_names
 from link.files.grid_lateness import grid_lateness_ms
 from link.files.link_report import History, LinkReport, ProbeCount
-from link.files.tlog import TlogRecord, read_tlog
-from planner.arrays import Array, Flags, Indices
+from link.files.tlog import read_tlog
+from planner.arrays import Array, Flags
 
-PATH_STEP_S = 0.02
-ON_PATH_M = 0.5
 AROUND_HANDOVER_S = 2.0
-SETPOINT_IDS = frozenset({84, 86})
 
 
 @dataclass(frozen=True)
@@ -138,32 +141,22 @@ def report_flight(log: str | Path, plan: Plan, events: str | Path | None = None)
     read.
     """
     history = None if events is None else History.read(events, plan)
-    names = _station_names(plan)
+    names = station_names(plan)
     probes = ProbeCount(names)
-    sent, heard, profile, log_end_s = _collect(read_tlog(log), plan, probes)
-    if len(sent.time_s) < 2:
-        raise ReportError(f"{log} holds no setpoints of the plan's stations ({', '.join(plan.station_ids)})")
-    place = _to_plane(plan, sent.lat_deg, sent.lon_deg, sent.alt_amsl_m)
-    path = _Path(plan)
-    plan_s, off_m = path.nearest(place)
-    launched_s = _launch(sent.time_s, plan_s, off_m, plan)
-    # The flight of the plan: from T+0 to the last setpoint on its path.
-    flown = (sent.time_s >= launched_s - 1e-6) & (off_m <= ON_PATH_M)
-    if flown.sum() < 2:
-        raise ReportError(f"{log} holds setpoints, but none on the path of plan {plan.plan_sha256[:16]}")
-    keep = flown & (np.arange(len(flown)) <= _last_moving(flown, place, sent.velocity_m_s, plan))
-    sent, place, plan_s = sent.only(keep), place[keep], plan_s[keep]
+    sent, heard, profile, log_end_s = collect(read_tlog(log), plan, probes)
+    path = PlannedPath(plan)
+    sent, place, plan_s, launched_s = _flight_of_the_plan(log, plan, path, sent)
     reached = float(np.linalg.norm(place[-1] - plan.trajectory.evaluate(plan.mission_time_s))) < 0.1
     end_s = float(sent.time_s[-1])
     heard = replace(heard, time_s=heard.time_s - probes.least_latency_s)
     links = probes.links(log_end_s, None if history is None else history.failovers)
-    way_s = {link.station: 1e-3 * (link.latency_ms or 0.0) for link in links}
-    arrived_s = sent.time_s + np.array([way_s[names[int(i)]] for i in sent.system_id])
-    errors = _errors(heard, sent, arrived_s, place, plan, (launched_s, end_s))
+    delay_s = {link.station: 1e-3 * (link.latency_ms or 0.0) for link in links}
+    arrived_s = sent.time_s + np.array([delay_s[names[int(i)]] for i in sent.system_id])
+    errors = tracking_errors(heard, sent, arrived_s, place, plan, (launched_s, end_s))
     gaps = np.diff(sent.time_s)
     counted = None if history is None else history.lateness
     lateness = _lateness(sent.time_s) if counted is None else counted
-    margin, margin_station = _margin(heard, sent, plan, launched_s, end_s)
+    margin, margin_station = least_margin(heard, sent, plan, launched_s, end_s)
     off_path = path.nearest(errors.place)[1] if len(errors.time_s) else np.array([])
     flown_s = end_s - launched_s
     return FlightReport(
@@ -194,189 +187,22 @@ def report_flight(log: str | Path, plan: Plan, events: str | Path | None = None)
     )
 
 
-@dataclass(frozen=True)
-class _Sent:
-    """Setpoints: arrays of one length; velocity (N, 3) east, north, up along true axes."""
-
-    time_s: Array
-    system_id: Indices
-    lat_deg: Array
-    lon_deg: Array
-    alt_amsl_m: Array
-    velocity_m_s: Array
-
-    def only(self, keep: Flags) -> _Sent:
-        return _Sent(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
-
-
-@dataclass(frozen=True)
-class _Heard:
-    """Positions: when (log's clock, by the vehicle's), where."""
-
-    time_s: Array
-    lat_deg: Array
-    lon_deg: Array
-    alt_amsl_m: Array
+def _flight_of_the_plan(log: str | Path, plan: Plan, path: PlannedPath, sent: Sent) -> tuple[Sent, Array, Array, float]:
+    """The setpoints from T+0 to the last one on the plan's path, their places, their times of the plan, and T+0."""
+    if len(sent.time_s) < 2:
+        raise ReportError(f"{log} holds no setpoints of the plan's stations ({', '.join(plan.station_ids)})")
+    place = to_plane(plan, sent.lat_deg, sent.lon_deg, sent.alt_amsl_m)
+    plan_s, off_m = path.nearest(place)
+    launched_s = launch_time_s(sent.time_s, plan_s, off_m, plan)
+    flown = (sent.time_s >= launched_s - 1e-6) & (off_m <= ON_PATH_M)
+    if flown.sum() < 2:
+        raise ReportError(f"{log} holds setpoints, but none on the path of plan {plan.plan_sha256[:16]}")
+    keep = flown & (np.arange(len(flown)) <= last_moving(flown, place, sent.velocity_m_s, plan))
+    return sent.only(keep), place[keep], plan_s[keep], launched_s
 
 
-@dataclass(frozen=True)
-class _Errors:
-    time_s: Array
-    place: Array
-    error_m: Array
-    behind_m: Array
-    beside_m: Array
-
-
-def _collect(
-    records: Iterable[TlogRecord], plan: Plan, probes: ProbeCount
-) -> tuple[_Sent, _Heard, AutopilotProfile, float]:
-    """Setpoints, positions, the autopilot, and when the log ends (Unix time)."""
-    end_s = 0.0
-    stations = set(_station_names(plan))
-    vehicle = plan.mission.options.vehicle_system_id
-    origin: EkfOrigin | None = None
-    kinds: dict[int, int] = {}
-    local: list[tuple[float, ...]] = []
-    sent: list[tuple[float, ...]] = []
-    positions: dict[int, tuple[float, ...]] = {}
-    for record in records:
-        m = record.message
-        if m is None:
-            continue
-        system, number = m.get_srcSystem(), m.get_msgId()
-        end_s = max(end_s, record.time_utc_s)
-        if number == 111:
-            probes.note(record.time_utc_s, system, m, vehicle=system == vehicle and m.get_srcComponent() == 1)
-        elif number in SETPOINT_IDS and system in stations:
-            kinds[number] = kinds.get(number, 0) + 1
-            # NED to east, north, up.
-            velocity = (m.vy, m.vx, -m.vz)
-            if number == 86:
-                sent.append((record.time_utc_s, system, m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt, *velocity))
-            elif origin is not None:
-                local.append((record.time_utc_s, system, m.x, m.y, origin.alt_amsl_m - m.z, *velocity))
-        elif system == vehicle and m.get_srcComponent() == 1:
-            if number == 33:
-                row = (record.time_utc_s, m.time_boot_ms * 1e-3, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3)
-                # The same message comes over every link; the first is the fastest.
-                positions.setdefault(m.time_boot_ms, row)
-            elif number == 49:
-                origin = EkfOrigin.from_message(m)
-    profile = profile_of_setpoints(kinds)
-    if origin is not None:
-        sent += [(*p[:2], *profile.lat_lon_deg(origin, p[2], p[3]), *p[4:]) for p in local]
-    table = np.array(sorted(sent), dtype=float).reshape(-1, 8)
-    heard = np.array(list(positions.values()), dtype=float).reshape(-1, 5)
-    return (
-        _Sent(table[:, 0], table[:, 1].astype(np.int64), table[:, 2], table[:, 3], table[:, 4], table[:, 5:8]),
-        _Heard(_on_log_clock(heard[:, 0], heard[:, 1]), heard[:, 2], heard[:, 3], heard[:, 4]),
-        profile,
-        end_s,
-    )
-
-
-def _on_log_clock(came_s: Array, boot_s: Array, window_s: float = 20.0) -> Array:
-    """The log's clock at each of the vehicle's stamps: late only by the smallest delay within a window."""
-    if not len(came_s):
-        return came_s
-    offset = came_s - boot_s
-    block = np.floor((came_s - came_s[0]) / window_s).astype(np.int64)
-    least = np.full(int(block.max()) + 1, np.inf)
-    np.minimum.at(least, block, offset)
-    before = np.concatenate([[np.inf], least[:-1]])
-    return np.asarray(boot_s + np.minimum(least, before)[block])
-
-
-def _to_plane(plan: Plan, lat_deg: Array, lon_deg: Array, alt_amsl_m: Array) -> Array:
-    east, north = plan.plane.to_plane(lat_deg, lon_deg)
-    return np.stack([east, north, alt_amsl_m - plan.plane.alt_amsl_m], axis=-1)
-
-
-class _Path:
-    """The planned path, for nearest points."""
-
-    def __init__(self, plan: Plan) -> None:
-        count = max(2, math.ceil(plan.mission_time_s / PATH_STEP_S) + 1)
-        self._times = np.linspace(0.0, plan.mission_time_s, count)
-        self._curve = plan.trajectory
-        self._tree = cKDTree(plan.trajectory.evaluate(self._times))
-
-    def nearest(self, places: Array) -> tuple[Array, Array]:
-        """Times of the plan and distances (m) of the nearest points, refined between the samples."""
-        if not len(places):
-            return np.array([]), np.array([])
-        _, index = self._tree.query(places)
-        time = self._times[index]
-        for _ in range(2):
-            # One Newton step each along the tangent.
-            off = places - self._curve.evaluate(time)
-            velocity = self._curve.evaluate(time, 1)
-            speed2 = np.maximum(np.einsum("ni,ni->n", velocity, velocity), 1e-6)
-            step = np.einsum("ni,ni->n", off, velocity) / speed2
-            time = np.clip(time + np.clip(step, -PATH_STEP_S, PATH_STEP_S), 0.0, self._times[-1])
-        return time, np.linalg.norm(places - self._curve.evaluate(time), axis=-1)
-
-
-def _launch(time_s: Array, plan_s: Array, off_m: Array, plan: Plan) -> float:
-    """When T+0 was: setpoints well under way tell, those at rest at the start do not."""
-    total = plan.mission_time_s
-    early = (off_m <= ON_PATH_M) & (plan_s >= min(2.0, 0.05 * total)) & (plan_s <= min(30.0, 0.5 * total))
-    first = np.flatnonzero(early)
-    if not len(first):
-        return float(time_s[0])
-    # The first pass alone: a flight may come back over the same ground.
-    first = first[time_s[first] <= time_s[first[0]] + 60.0]
-    return float(np.median(time_s[first] - plan_s[first]))
-
-
-def _last_moving(flown: Flags, place: Array, velocity_m_s: Array, plan: Plan) -> int:
-    """The index where the stream of the plan ends: its first sample at rest at the end, or the last one on the path."""
-    from_end = np.linalg.norm(place - plan.trajectory.evaluate(plan.mission_time_s), axis=-1)
-    arrived = np.flatnonzero(flown & (from_end < 0.1) & (np.linalg.norm(velocity_m_s, axis=-1) < 1e-5))
-    return int(arrived[0]) if len(arrived) else int(np.flatnonzero(flown)[-1])
-
-
-def _errors(
-    heard: _Heard, sent: _Sent, arrived_s: Array, place: Array, plan: Plan, span_s: tuple[float, float]
-) -> _Errors:
-    inside = (heard.time_s >= max(span_s[0], float(arrived_s[0]))) & (heard.time_s <= span_s[1])
-    time_s = heard.time_s[inside]
-    here = _to_plane(plan, heard.lat_deg[inside], heard.lon_deg[inside], heard.alt_amsl_m[inside])
-    # At a handover from a slow link to a quick one the new station's first setpoints overtake the old one's last.
-    arrived_s = np.maximum.accumulate(arrived_s)
-    at = np.clip(np.searchsorted(arrived_s, time_s, side="right") - 1, 0, len(arrived_s) - 1)
-    carry = np.clip(time_s - arrived_s[at], 0.0, 1.0)
-    # Between setpoints the reference moves on: to the next one where there is one soon.
-    after = np.minimum(at + 1, len(arrived_s) - 1)
-    step = arrived_s[after] - arrived_s[at]
-    share = np.where((step > 0) & (step < 0.5), carry / np.maximum(step, 1e-9), 0.0)[:, None]
-    asked = place[at] + share * (place[after] - place[at])
-    off = here - asked
-    velocity = sent.velocity_m_s[at]
-    speed = np.linalg.norm(velocity, axis=-1)
-    along = np.where(speed[:, None] > 0.5, velocity / np.maximum(speed, 1e-9)[:, None], 0.0)
-    ahead = np.einsum("ni,ni->n", off, along)
-    return _Errors(
-        time_s, here, np.linalg.norm(off, axis=-1), -ahead, np.linalg.norm(off - ahead[:, None] * along, axis=-1)
-    )
-
-
-def _margin(heard: _Heard, sent: _Sent, plan: Plan, from_s: float, to_s: float) -> tuple[float | None, str | None]:
-    inside = (heard.time_s >= from_s) & (heard.time_s <= to_s)
-    if not inside.any():
-        return None, None
-    places = _to_plane(plan, heard.lat_deg[inside], heard.lon_deg[inside], heard.alt_amsl_m[inside])
-    at = np.clip(np.searchsorted(sent.time_s, heard.time_s[inside], side="right") - 1, 0, len(sent.time_s) - 1)
-    names = _station_names(plan)
-    index = np.array([plan.mission.station_index(names[int(i)]) for i in sent.system_id[at]])
-    left = -plan.geometry.outside_m(index, places)
-    worst = int(left.argmin())
-    return float(left[worst]), plan.mission.stations[index[worst]].id
-
-
-def _handovers(sent: _Sent, errors: _Errors, plan: Plan, launched_s: float) -> tuple[HandoverReport, ...]:
-    names = _station_names(plan)
+def _handovers(sent: Sent, errors: TrackingErrors, plan: Plan, launched_s: float) -> tuple[HandoverReport, ...]:
+    names = station_names(plan)
     planned = list(plan.handovers)
     result = []
     for k in np.flatnonzero(np.diff(sent.system_id)):
@@ -410,13 +236,6 @@ def _lateness(time_s: Array) -> dict[str, float]:
         "p50_ms": float(np.quantile(late_ms, 0.5)),
         "p99_ms": float(np.quantile(late_ms, 0.99)),
         "worst_ms": float(late_ms.max()),
-    }
-
-
-def _station_names(plan: Plan) -> dict[int, str]:
-    return {
-        int(plan.mission.stations[i].system_id or 0): plan.mission.stations[i].id
-        for i in dict.fromkeys(plan.trajectory.sequence)
     }
 
 

@@ -15,7 +15,7 @@ operator_control
 
 parameter
     the vehicle hears one station alone: its range of ids is first widened to both by the old station, control moves,
-    and the new station narrows the range to itself (`link.handover.gcs_ownership.Keeper`). Without a range (before
+    and the new station narrows the range to itself (`link.handover.gcs_ids.GcsIdManager`). Without a range (before
     ArduPilot 4.7) the old station names the new one, and control moves with the answer; unanswered, the new one is
     tried, and one of the two is obeyed. A neighbour that takes over from a dead link opens the vehicle with the
     vehicle's own id.
@@ -34,6 +34,7 @@ from gcs.plan import Plan
 from link.dialect import mavlink
 from link.microservices.command import Ticket
 from link.session.context import FlightContext
+from link.session.request import HandoverWay
 
 LINK_HEARD_S = 1.5
 """The vehicle must have been heard over the next station's link this lately."""
@@ -49,7 +50,7 @@ TELLING_MESSAGE = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 
 
 @dataclass(frozen=True)
-class Border:
+class HandoverWindow:
     """Where control passes between two neighbouring legs of a plan, seen in the direction it is crossed.
 
     Times are on the plan. ``open_s`` is where the new station's coverage begins and ``limit_s`` where the old one's
@@ -80,9 +81,9 @@ class Border:
         """Whether it is time to watch the new station."""
         return self.covered_by_next(time_s + LOOK_AHEAD_S if self.forward else time_s - LOOK_AHEAD_S)
 
-    def mirrored(self) -> Border:
-        """The same border crossed the other way."""
-        return Border(
+    def mirrored(self) -> HandoverWindow:
+        """The same window crossed the other way."""
+        return HandoverWindow(
             self.index,
             self.to_leg,
             self.from_leg,
@@ -95,10 +96,10 @@ class Border:
         )
 
 
-def borders(plan: Plan) -> list[Border]:
-    """The plan's handovers, forward: ``borders(plan)[k]`` is between legs ``k`` and ``k + 1``."""
+def handover_windows(plan: Plan) -> list[HandoverWindow]:
+    """The plan's handovers, forward: ``handover_windows(plan)[k]`` is between legs ``k`` and ``k + 1``."""
     return [
-        Border(h.index, k, k + 1, h.from_station, h.to_station, h.time_s, h.overlap_start_s, h.overlap_end_s)
+        HandoverWindow(h.index, k, k + 1, h.from_station, h.to_station, h.time_s, h.overlap_start_s, h.overlap_end_s)
         for k, h in enumerate(plan.handovers)
     ]
 
@@ -111,24 +112,32 @@ class Handover:
     """
 
     def __init__(
-        self, context: FlightContext, border: Border, way: str, attempt_s: float, proof_after_s: float = -math.inf
+        self,
+        flight: FlightContext,
+        window: HandoverWindow,
+        way: HandoverWay,
+        attempt_s: float,
+        proof_after_s: float = -math.inf,
     ) -> None:
-        self._c = context
-        self.border = border
+        self._request = flight.request
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
+        self.window = window
         self.way = way
         self.attempt_s = attempt_s
         self._proof_after_s = proof_after_s
         self.state = HandoverState.PLANNED
         self.attempts = 0
         self.reason = ""
-        self._accepted = not context.request.operator_words
+        self._accepted = not flight.request.operator_words
         self._requested_s = -math.inf
         self._moved_s = math.inf
         self._retry_s = -math.inf
         self._ticket: Ticket | None = None
         self._allow: Ticket | None = None
 
-    # -- words --------------------------------------------------------------------------------------------------------
+    # -- operator commands --------------------------------------------------------------------------------------------
 
     def accept(self) -> None:
         """The next station's operator stands by, or takes back a refusal."""
@@ -138,7 +147,7 @@ class Handover:
 
     def refuse(self, reason: str) -> None:
         """An operator says no. Raises `gcs.flight.TransitionError` when it is under way or done."""
-        self._accepted = not self._c.request.operator_words
+        self._accepted = not self._request.operator_words
         self._event(HandoverEvent.REFUSE, reason)
 
     # -- state --------------------------------------------------------------------------------------------------------
@@ -150,7 +159,7 @@ class Handover:
 
     @property
     def open(self) -> bool:
-        """Whether the flight may go on towards the border at full speed.
+        """Whether the flight may go on towards the window at full speed.
 
         After an attempt that failed not before one succeeds: a station that is proved and never obeyed would else
         let the flight out of its coverage step by step.
@@ -158,91 +167,92 @@ class Handover:
         if self.state in (HandoverState.CONFIRMED, HandoverState.RELEASED):
             return True
         if self.state is HandoverState.REQUESTED:
-            return self.attempts == 1 and self._c.now_s - self._requested_s <= 0.5 * self.attempt_s
+            return self.attempts == 1 and self._timeline.now_s - self._requested_s <= 0.5 * self.attempt_s
         return self.state is HandoverState.READY and self.attempts == 0
 
     def missing(self) -> str:
         """What the next station still lacks; empty when its link is proved and both sides agree."""
-        c, station = self._c, self.border.to_station
+        now_s, vehicle, station = self._timeline.now_s, self._vehicle, self.window.to_station
         if not self._accepted:
             return "operator's word"
-        if not c.monitor.heard_within(c.now_s, station, LINK_HEARD_S):
+        if not vehicle.monitor.heard_within(now_s, station, LINK_HEARD_S):
             return "telemetry over its link"
-        proven = c.monitor.proven_within(c.now_s, station, LINK_PROVEN_S)
-        if not proven or c.monitor.links[station].proven_s <= self._proof_after_s:
+        proven = vehicle.monitor.proven_within(now_s, station, LINK_PROVEN_S)
+        link = vehicle.monitor.links[station]
+        if not proven or link.proven_s <= self._proof_after_s:
             return "an answer over its link"
-        link = c.monitor.links[station]
-        origin = link.origin
-        if origin is not None and c.origin is not None and link.origin_s > c.origin_s:
-            north, east = c.profile.north_east_m(c.origin, origin.lat_deg, origin.lon_deg)
-            if math.hypot(north, east, origin.alt_amsl_m - c.origin.alt_amsl_m) > ORIGIN_TOLERANCE_M:
+        theirs, ours = link.origin, vehicle.origin
+        if theirs is not None and ours is not None and link.origin_s > vehicle.origin_s:
+            north, east = vehicle.profile.north_east_m(ours, theirs.lat_deg, theirs.lon_deg)
+            if math.hypot(north, east, theirs.alt_amsl_m - ours.alt_amsl_m) > ORIGIN_TOLERANCE_M:
                 return "the same EKF origin"
         return ""
 
     # -- a tick -------------------------------------------------------------------------------------------------------
 
-    def step(self, time_s: float, *, at_once: str = "") -> None:
+    def step(self, time_s: float, *, at_once: str | None = None) -> None:
         """Move on, the flight being at ``time_s`` of the plan. ``at_once``: do not wait for the planned place (why)."""
-        border = self.border
-        if self.done or not (border.near(time_s) or at_once):
+        window, hurried = self.window, at_once is not None
+        if self.done or not (window.near(time_s) or hurried):
             return
         if self.state in (HandoverState.PLANNED, HandoverState.LATE, HandoverState.FAILED, HandoverState.TIMED_OUT):
-            if self._c.now_s >= self._retry_s and not self.missing():
+            if self._timeline.now_s >= self._retry_s and not self.missing():
                 self._event(HandoverEvent.PROVED)
-            elif self.state is HandoverState.PLANNED and border.due(time_s):
-                self._event(HandoverEvent.DUE, f"{border.to_station} lacks {self.missing()}")
+            elif self.state is HandoverState.PLANNED and window.due(time_s):
+                self._event(HandoverEvent.DUE, f"{window.to_station} lacks {self.missing()}")
         elif self.state is HandoverState.READY and (missing := self.missing()):
-            self._event(HandoverEvent.UNPROVED, f"{border.to_station} lacks {missing}")
-        if self.state is HandoverState.READY and (border.due(time_s) or at_once) and border.covered_by_next(time_s):
-            self._request(at_once)
+            self._event(HandoverEvent.UNPROVED, f"{window.to_station} lacks {missing}")
+        if self.state is HandoverState.READY and (window.due(time_s) or hurried) and window.covered_by_next(time_s):
+            self._ask_for_control(at_once)
         if self.state is HandoverState.REQUESTED:
             self._follow_up()
 
-    def _request(self, reason: str) -> None:
+    def _ask_for_control(self, at_once: str | None) -> None:
+        control = self._control
         self.attempts += 1
-        self._requested_s = self._c.now_s
+        self._requested_s = self._timeline.now_s
         self._moved_s = math.inf
-        self._c.gate.accompany(self.border.to_station)
-        self._event(HandoverEvent.REQUEST, reason)
-        if self.way == "operator_control":
-            self._allow = self._c.start_command(
+        control.gate.accompany(self.window.to_station)
+        self._event(HandoverEvent.REQUEST, at_once or "")
+        if self.way == HandoverWay.OPERATOR_CONTROL:
+            self._allow = control.start_command(
                 "allow takeover",
                 REQUEST_OPERATOR_CONTROL,
-                (1.0, 1.0, 10.0, float(self._c.system_ids[self.border.from_station])),
+                (1.0, 1.0, 10.0, float(control.system_ids[self.window.from_station])),
                 retry_s=0.2,
             )
-        elif self._c.keeper is not None and not reason:
+        elif control.id_manager is not None and at_once is None:
             # Heard first, then in control; `_follow_up` moves it.
-            if not self._c.keeper.ranged:
-                self._c.keeper.claimed = self.border.to_station
+            if not control.id_manager.ranged:
+                control.id_manager.claimed = self.window.to_station
         else:
             self._move()
 
     def _move(self) -> None:
         """Control is the new station's from here on; it speaks first, then its setpoint of this tick follows."""
-        c = self._c
-        if c.keeper is not None:
-            c.keeper.claimed = None
-        c.grant(self.border.to_station, f"handover {self.border.index}")
-        c.gate.accompany(self.border.from_station)
-        self._moved_s = c.now_s
-        if self.way == "operator_control":
-            own = float(c.system_ids[self.border.to_station])
-            self._ticket = c.start_command(
+        control = self._control
+        if control.id_manager is not None:
+            control.id_manager.claimed = None
+        control.grant(self.window.to_station, f"handover {self.window.index}")
+        control.gate.accompany(self.window.from_station)
+        self._moved_s = self._timeline.now_s
+        if self.way == HandoverWay.OPERATOR_CONTROL:
+            own = float(control.system_ids[self.window.to_station])
+            self._ticket = control.start_command(
                 "request control", REQUEST_OPERATOR_CONTROL, (1.0, 0.0, 10.0, own), retry_s=0.1, attempts=30
             )
         else:
-            self._ticket = c.start_command(
+            self._ticket = control.start_command(
                 "request message", mavlink.MAV_CMD_REQUEST_MESSAGE, (float(TELLING_MESSAGE),), retry_s=0.2, attempts=30
             )
 
     def _follow_up(self) -> None:
-        c = self._c
+        timeline, control = self._timeline, self._control
         if math.isinf(self._moved_s):
-            if c.keeper is not None:
+            if control.id_manager is not None:
                 # An answer that was lost leaves two the vehicle may hear: the new one is tried for the other half.
-                unsure = c.now_s - self._requested_s >= 0.5 * self.attempt_s and not c.keeper.ranged
-                if c.keeper.hears(self.border.to_station) or unsure:
+                unsure = timeline.now_s - self._requested_s >= 0.5 * self.attempt_s and not control.id_manager.ranged
+                if control.id_manager.hears(self.window.to_station) or unsure:
                     self._move()
             elif self._allow is not None and self._allow.accepted:
                 self._move()
@@ -254,36 +264,36 @@ class Handover:
             if evidence:
                 self._event(HandoverEvent.EVIDENCE, evidence)
                 if self._ticket is not None:
-                    c.commander.cancel(self._ticket)
-                c.gate.accompany(None)
-                self._event(HandoverEvent.RELEASE, f"{self.border.from_station} is silent")
+                    control.commander.cancel(self._ticket)
+                control.gate.accompany(None)
+                self._event(HandoverEvent.RELEASE, f"{self.window.from_station} is silent")
                 return
             if self._refused():
                 self._fail(HandoverEvent.NAK, f"the vehicle answered {self._ticket.outcome if self._ticket else ''}")
                 return
-        if c.now_s - self._requested_s >= self.attempt_s:
+        if timeline.now_s - self._requested_s >= self.attempt_s:
             self._fail(HandoverEvent.TIMEOUT, "no evidence from the vehicle")
 
     def _evidence(self) -> str:
         """What shows that the vehicle obeys the new station; empty while nothing does."""
-        c, ticket = self._c, self._ticket
+        monitor, control, ticket = self._vehicle.monitor, self._control, self._ticket
         answered = ticket is not None and ticket.finished and ticket.result is not None
-        if self.way == "operator_control":
+        if self.way == HandoverWay.OPERATOR_CONTROL:
             if ticket is None or not ticket.accepted:
                 return ""
-            if c.monitor.control_s <= -math.inf or c.monitor.control_main == c.system_ids[self.border.to_station]:
+            if monitor.control_s <= -math.inf or monitor.control_main == control.system_ids[self.window.to_station]:
                 return "control granted to it"
             return ""
         if answered and ticket is not None and ticket.result not in _REFUSALS:
             return "a command of it was answered"
-        if self.way == "parameter":
+        if self.way == HandoverWay.PARAMETER:
             # A vehicle that drops the new station in silence runs on along the old one's last setpoint, which may look
             # like the new one's for seconds: only an answer shows whom it hears.
             return ""
-        fence = c.gate.fence
-        if c.monitor.target is not None and c.monitor.target_s > self._moved_s and fence is not None:
-            held = c.echoes.held(c.monitor.target)
-            if held and all(sent.fence == fence.number for sent in held):
+        grant = control.gate.in_force
+        if monitor.target is not None and monitor.target_s > self._moved_s and grant is not None:
+            held = control.echoes.held(monitor.target)
+            if held and all(sent.grant == grant.number for sent in held):
                 return "its setpoint is held"
         return ""
 
@@ -292,36 +302,37 @@ class Handover:
         ticket = self._ticket
         if ticket is None or not ticket.finished or ticket.result is None:
             return False
-        if self.way == "operator_control":
+        if self.way == HandoverWay.OPERATOR_CONTROL:
             return not ticket.accepted
         # Any other answer addressed to the new station shows that it is heard and not turned away.
         return ticket.result in _REFUSALS
 
     def _fail(self, event: HandoverEvent, reason: str) -> None:
         """Control goes back to the old station, which goes on."""
+        timeline, control = self._timeline, self._control
         for ticket in (self._ticket, self._allow):
             if ticket is not None:
-                self._c.commander.cancel(ticket)
-        self._c.gate.accompany(None)
-        self._c.grant(self.border.from_station, f"handover {self.border.index} not confirmed")
-        self._retry_s = self._c.now_s + REASK_S
-        self._proof_after_s = self._c.now_s
+                control.commander.cancel(ticket)
+        control.gate.accompany(None)
+        control.grant(self.window.from_station, f"handover {self.window.index} not confirmed")
+        self._retry_s = timeline.now_s + REASK_S
+        self._proof_after_s = timeline.now_s
         self._event(event, reason)
 
     def _event(self, event: HandoverEvent, reason: str = "") -> None:
         before, self.state = self.state, handover_step(self.state, event)
         self.reason = reason
-        self._c.emit(
+        self._timeline.emit(
             EventKind.HANDOVER,
-            index=self.border.index,
-            **{"from": self.border.from_station, "to": self.border.to_station},
+            index=self.window.index,
+            **{"from": self.window.from_station, "to": self.window.to_station},
             before=before.value,
             state=self.state.value,
             event=event.value,
             reason=reason,
             attempt=self.attempts,
             way=self.way,
-            forward=self.border.forward,
+            forward=self.window.forward,
         )
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from gcs.flight import HandoverState, TransitionError
-from link.handover.handover import Border, Handover, borders
+from link.handover.handover import Handover, HandoverWindow, handover_windows
 from link.session.context import FlightContext
-from link.session.request import FlightRequest
+from link.session.request import FlightRequest, HandoverWay
 
-BORDER_GUARD_S = 0.5
+WINDOW_GUARD_S = 0.5
 """The flight stops this much (of the plan's time) before the end of a station's coverage."""
 TAKEOVER_SHARE = 0.6
 """Of the autopilot's time-out: so long one attempt at a handover, and an unproved link, may last."""
@@ -22,56 +22,59 @@ def attempt_time_s(request: FlightRequest, loss_timeout_s: float) -> float:
     return min(0.5 * request.confirmation_time_s, TAKEOVER_SHARE * loss_timeout_s)
 
 
-class Relay:
+class HandoverChain:
     """The legs of a plan and the handover under way. ``leg`` is the one whose station is in control."""
 
-    def __init__(self, context: FlightContext) -> None:
-        self._c = context
-        self.borders = borders(context.plan)
+    def __init__(self, flight: FlightContext) -> None:
+        self._flight = flight
+        self._request = flight.request
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
+        self.windows = handover_windows(flight.plan)
         self.leg = 0
         self.handover: Handover | None = None
-        self.loss_timeout_s = 1.0
         self._accepted: set[int] = set()
         self._refused: dict[int, str] = {}
         self._distrusted_s: dict[str, float] = {}
 
     @property
-    def way(self) -> str:
+    def way(self) -> HandoverWay:
         """How this vehicle is told of a handover; see `link.handover.handover`."""
-        c = self._c
-        if c.request.handover_way != "auto":
-            return c.request.handover_way
-        if math.isfinite(c.monitor.control_s):
-            return "operator_control"
-        return "range" if c.profile.filters_station_ids else "gate"
+        asked, vehicle = HandoverWay(self._request.handover_way), self._vehicle
+        if asked is not HandoverWay.AUTO:
+            return asked
+        if math.isfinite(vehicle.monitor.control_s):
+            return HandoverWay.OPERATOR_CONTROL
+        return HandoverWay.RANGE if vehicle.profile.filters_station_ids else HandoverWay.GATE
 
     @property
     def moving(self) -> bool:
         """Whether control is being moved right now."""
         return self.handover is not None and self.handover.state is HandoverState.REQUESTED
 
-    def ahead(self, *, backwards: bool) -> Border | None:
-        """The border the flight comes to next; the one control is being moved over, while it is."""
+    def ahead(self, *, backwards: bool) -> HandoverWindow | None:
+        """The window the flight comes to next; the one control is being moved over, while it is."""
         if self.moving and self.handover is not None:
-            return self.handover.border
+            return self.handover.window
         if backwards:
-            return self.borders[self.leg - 1].mirrored() if self.leg > 0 else None
-        return self.borders[self.leg] if self.leg < len(self.borders) else None
+            return self.windows[self.leg - 1].mirrored() if self.leg > 0 else None
+        return self.windows[self.leg] if self.leg < len(self.windows) else None
 
     def limits(self, *, backwards: bool) -> tuple[float, float]:
         """Between which times of the plan the flight may be: to the end of coverage while the next is not proved."""
-        border = self.ahead(backwards=backwards)
-        if border is None or self._for(border).open:
+        window = self.ahead(backwards=backwards)
+        if window is None or self._for(window).open:
             return -math.inf, math.inf
-        if border.forward:
-            return -math.inf, border.limit_s - BORDER_GUARD_S
-        return border.limit_s + BORDER_GUARD_S, math.inf
+        if window.forward:
+            return -math.inf, window.limit_s - WINDOW_GUARD_S
+        return window.limit_s + WINDOW_GUARD_S, math.inf
 
     def step(self, time_s: float, *, backwards: bool) -> None:
         """Let the handover ahead act, the flight being at ``time_s`` of the plan. Once a tick, before the setpoint."""
-        border = self.ahead(backwards=backwards)
-        if border is not None:
-            self._for(border).step(time_s)
+        window = self.ahead(backwards=backwards)
+        if window is not None:
+            self._for(window).step(time_s)
             self._settle()
 
     def take_over(self, time_s: float, reason: str) -> bool:
@@ -81,14 +84,14 @@ class Relay:
         """
         if self.moving:
             return True
-        c = self._c
-        for border in (self.ahead(backwards=False), self.ahead(backwards=True)):
-            if border is None or not border.covered_by_next(time_s):
+        timeline = self._timeline
+        for window in (self.ahead(backwards=False), self.ahead(backwards=True)):
+            if window is None or not window.covered_by_next(time_s):
                 continue
-            if not c.monitor.proven_within(c.now_s, border.to_station, TAKEOVER_PROVEN_S):
+            if not self._vehicle.monitor.proven_within(timeline.now_s, window.to_station, TAKEOVER_PROVEN_S):
                 continue
-            self._distrusted_s[border.from_station] = c.now_s
-            self._for(border).step(time_s, at_once=reason)
+            self._distrusted_s[window.from_station] = timeline.now_s
+            self._for(window).step(time_s, at_once=reason)
             moved = self.moving or (self.handover is not None and self.handover.done)
             self._settle()
             if moved:
@@ -98,25 +101,26 @@ class Relay:
     def adopt(self, leg: int) -> None:
         """The plan has been exchanged (`FlightContext.plan`), and the flight is on ``leg`` of the new one."""
         self.forget()
-        self.borders = borders(self._c.plan)
+        self.windows = handover_windows(self._flight.plan)
         self.leg = leg
-        # Words for handovers to come were for those of the other plan.
+        # Commands for handovers to come were for those of the other plan.
         self._accepted = {index for index in self._accepted if index <= leg}
         self._refused.clear()
 
     def forget(self) -> None:
-        """Give up the handover under way: the flight lapsed."""
+        """Give up the handover under way: the C2 link is lost, or another plan is flown."""
+        control = self._control
         self.handover = None
-        self._c.gate.accompany(None)
-        if self._c.keeper is not None:
-            self._c.keeper.claimed = None
+        control.gate.accompany(None)
+        if control.id_manager is not None:
+            control.id_manager.claimed = None
 
     def accept(self, index: int) -> None:
-        """An operator's word for handover ``index``."""
+        """An operator stands by for handover ``index``."""
         self._check(index)
         self._refused.pop(index, None)
         self._accepted.add(index)
-        if self.handover is not None and self.handover.border.index == index:
+        if self.handover is not None and self.handover.window.index == index:
             self.handover.accept()
 
     def refuse(self, index: int, reason: str) -> None:
@@ -124,29 +128,29 @@ class Relay:
         self._check(index)
         if index <= self.leg:
             raise TransitionError(f"handover {index} is done")
-        if self.handover is not None and self.handover.border.index == index:
+        if self.handover is not None and self.handover.window.index == index:
             self.handover.refuse(reason)
         self._refused[index] = reason
         self._accepted.discard(index)
 
     def _check(self, index: int) -> None:
-        if not 1 <= index <= len(self.borders):
-            raise TransitionError(f"there is no handover {index}; the plan has {len(self.borders)}")
+        if not 1 <= index <= len(self.windows):
+            raise TransitionError(f"there is no handover {index}; the plan has {len(self.windows)}")
 
-    def _for(self, border: Border) -> Handover:
-        """The handover over a border: the one at hand, or a new one."""
-        if self.handover is not None and self.handover.border == border:
+    def _for(self, window: HandoverWindow) -> Handover:
+        """The handover over a window: the one at hand, or a new one."""
+        if self.handover is not None and self.handover.window == window:
             return self.handover
-        attempt_s = attempt_time_s(self._c.request, self.loss_timeout_s)
-        distrusted_s = self._distrusted_s.get(border.to_station, -math.inf)
-        self.handover = Handover(self._c, border, self.way, attempt_s, distrusted_s)
-        if border.index in self._accepted:
+        attempt_s = attempt_time_s(self._request, self._vehicle.loss_timeout_s)
+        distrusted_s = self._distrusted_s.get(window.to_station, -math.inf)
+        self.handover = Handover(self._flight, window, self.way, attempt_s, distrusted_s)
+        if window.index in self._accepted:
             self.handover.accept()
-        if border.index in self._refused:
-            self.handover.refuse(self._refused[border.index])
+        if window.index in self._refused:
+            self.handover.refuse(self._refused[window.index])
         return self.handover
 
     def _settle(self) -> None:
         if self.handover is not None and self.handover.done:
-            self.leg = self.handover.border.to_leg
+            self.leg = self.handover.window.to_leg
             self.handover = None

@@ -13,7 +13,7 @@ from typing import Any
 
 from link.dialect import mavlink
 from link.errors import GateClosed
-from link.transport.gate import Fence
+from link.transport.gate import ControlGrant
 
 RETRY_S = 0.5
 ATTEMPTS = 6
@@ -37,7 +37,7 @@ class Ticket:
 
     name: str
     command: int
-    fence: Fence
+    grant: ControlGrant
     params: tuple[float, ...]
     target_system: int
     target_component: int
@@ -66,7 +66,7 @@ class Ticket:
 class Commander:
     """Commands under way, at most one of a kind. ``send`` is the gate's, ``system_ids`` of the stations are by id."""
 
-    def __init__(self, send: Callable[[Fence, Any], object], system_ids: dict[str, int]) -> None:
+    def __init__(self, send: Callable[[ControlGrant, Any], object], system_ids: dict[str, int]) -> None:
         self._send = send
         self._system_ids = system_ids
         self._tickets: dict[int, Ticket] = {}
@@ -74,7 +74,7 @@ class Commander:
     def start(
         self,
         now_s: float,
-        fence: Fence,
+        grant: ControlGrant,
         name: str,
         command: int,
         params: tuple[float, ...] = (),
@@ -84,11 +84,11 @@ class Commander:
         retry_s: float = RETRY_S,
         attempts: int = ATTEMPTS,
     ) -> Ticket:
-        """Send ``command`` under ``fence`` and keep asking. A command of the same number under way is given up."""
+        """Send ``command`` under ``grant`` and keep asking. A command of the same number under way is given up."""
         before = self._tickets.pop(command, None)
         if before is not None:
             self._finish(before, None, "replaced")
-        ticket = Ticket(name, command, fence, params, target_system, target_component, retry_s, attempts)
+        ticket = Ticket(name, command, grant, params, target_system, target_component, retry_s, attempts)
         self._tickets[command] = ticket
         self._attempt(now_s, ticket)
         return ticket
@@ -106,7 +106,7 @@ class Commander:
         An ack addressed to another station is another's. Zero (an old peer that does not address) is everybody's.
         """
         ticket = self._tickets.get(ack.command)
-        if ticket is None or ack.target_system not in (0, self._system_ids[ticket.fence.station_id]):
+        if ticket is None or ack.target_system not in (0, self._own_id(ticket)):
             return None
         if ack.result == mavlink.MAV_RESULT_IN_PROGRESS:
             ticket.progress.append(int(ack.progress))
@@ -115,6 +115,11 @@ class Commander:
         del self._tickets[ack.command]
         self._finish(ticket, int(ack.result), result_name(ack.result))
         return ticket
+
+    def _own_id(self, ticket: Ticket) -> int:
+        """The system id a command was sent under, which its answer is addressed to."""
+        sender = ticket.grant.sender
+        return ticket.target_system if sender.as_vehicle else self._system_ids[sender.station_id]
 
     def step(self, now_s: float) -> None:
         """Repeat what is due; give up what was asked often enough."""
@@ -129,7 +134,7 @@ class Commander:
 
     def _attempt(self, now_s: float, ticket: Ticket) -> None:
         try:
-            self._send(ticket.fence, ticket.message())
+            self._send(ticket.grant, ticket.message())
         except GateClosed:
             self._tickets.pop(ticket.command, None)
             self._finish(ticket, None, "control moved on")

@@ -10,23 +10,23 @@ from typing import Any
 
 from link.errors import GateClosed
 from link.microservices.mission_download import MissionTransfer
-from link.transport.gate import Fence
+from link.transport.gate import ControlGrant
 
 
 class MissionClient:
     """Runs transfers of one flight. ``send`` is the gate's."""
 
-    def __init__(self, send: Callable[[Fence, Any], object]) -> None:
+    def __init__(self, send: Callable[[ControlGrant, Any], object]) -> None:
         self._send = send
-        self._fence: Fence | None = None
+        self._grant: ControlGrant | None = None
         self._transfer: MissionTransfer | None = None
 
-    def start(self, now_s: float, fence: Fence, transfer: MissionTransfer) -> None:
+    def start(self, now_s: float, grant: ControlGrant, transfer: MissionTransfer) -> None:
         """Begin a transfer under a grant; one that is under way is cancelled."""
         if self._transfer is not None:
             self._transfer.cancel()
             self._flush()
-        self._fence, self._transfer = fence, transfer
+        self._grant, self._transfer = grant, transfer
         transfer.start(now_s)
         self._flush()
 
@@ -43,12 +43,12 @@ class MissionClient:
             self._flush()
 
     def _flush(self) -> None:
-        transfer, fence = self._transfer, self._fence
-        if transfer is None or fence is None:
+        transfer, grant = self._transfer, self._grant
+        if transfer is None or grant is None:
             return
         try:
             for message in transfer.take_outgoing():
-                self._send(fence, message)
+                self._send(grant, message)
         except GateClosed:
             # Control moved on: whatever the vehicle holds now, nobody may go on writing it.
             transfer.cancel()

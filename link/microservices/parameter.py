@@ -16,7 +16,7 @@ from typing import Any
 from link.dialect import mavlink
 from link.errors import GateClosed, ParameterError
 from link.microservices.parameter_value import Encoding, Parameter, read_parameter, write_parameter
-from link.transport.gate import Fence
+from link.transport.gate import ControlGrant
 
 ASK_AGAIN_S = 0.5
 ATTEMPTS = 8
@@ -33,7 +33,7 @@ class Asked:
     with neither means silence (see `Asking`)."""
 
     name: str
-    fence: Fence
+    grant: ControlGrant
     attempts: int = 0
     next_s: float = -math.inf
     answer: Parameter | None = None
@@ -63,7 +63,7 @@ class Setting:
     name: str
     value: int | float
     kind: int
-    fence: Fence
+    grant: ControlGrant
     attempts: int = 0
     next_s: float = -math.inf
     confirmed: bool = False
@@ -73,7 +73,7 @@ class Setting:
 class ParameterClient:
     """Parameters of one vehicle. ``send`` is the gate's; ``known`` holds the last value read of each name."""
 
-    def __init__(self, send: Callable[[Fence, Any], object], target_system: int, encoding: Encoding) -> None:
+    def __init__(self, send: Callable[[ControlGrant, Any], object], target_system: int, encoding: Encoding) -> None:
         self._send = send
         self._target = target_system
         self.encoding = encoding
@@ -81,19 +81,19 @@ class ParameterClient:
         self._asked: dict[str, Asked] = {}
         self._settings: dict[str, Setting] = {}
 
-    def read(self, names: Iterable[str], fence: Fence, *, attempts: int = ATTEMPTS) -> list[Asked]:
+    def read(self, names: Iterable[str], grant: ControlGrant, *, attempts: int = ATTEMPTS) -> list[Asked]:
         """Ask for parameters by name."""
-        asked = [Asked(name, fence, attempts=attempts) for name in names]
+        asked = [Asked(name, grant, attempts=attempts) for name in names]
         self._asked.update({one.name: one for one in asked})
         return asked
 
-    def set(self, name: str, value: int | float, fence: Fence, *, attempts: int = ATTEMPTS) -> Setting:
+    def set(self, name: str, value: int | float, grant: ControlGrant, *, attempts: int = ATTEMPTS) -> Setting:
         """Set a parameter that was read before. Raises `ParameterError` for a name never read, or an unfit value."""
         if name not in self.known:
             raise ParameterError(f"{name} was not read, so its type is not known")
         kind = self.known[name].kind
         write_parameter(name, value, kind, self.encoding, target_system=self._target)
-        setting = Setting(name, value, kind, fence, attempts=attempts)
+        setting = Setting(name, value, kind, grant, attempts=attempts)
         self._settings[name] = setting
         return setting
 
@@ -139,7 +139,7 @@ class ParameterClient:
     def _again(self, now_s: float, one: Asked | Setting, table: Any, message: Any) -> bool:
         if one.attempts > 0:
             try:
-                self._send(one.fence, message)
+                self._send(one.grant, message)
             except GateClosed:
                 one.attempts = 0
         if one.attempts <= 0:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from link.session.context import FlightContext
+from link.session.timeline import Timeline
+from link.session.vehicle import Vehicle
 
 LOW_PERCENT, CRITICAL_PERCENT = 20, 10
 RESERVE_PERCENT = 10.0
@@ -23,34 +24,35 @@ AGAIN_PERCENT = 3.0
 class BatteryWatch:
     """Raises each alarm once: "battery low", "battery critical", and "the battery will not last"."""
 
-    def __init__(self, context: FlightContext) -> None:
-        self._c = context
+    def __init__(self, timeline: Timeline, vehicle: Vehicle) -> None:
+        self._timeline = timeline
+        self._vehicle = vehicle
         self._steps: deque[tuple[float, int]] = deque(maxlen=MOST_STEPS)
         self._told = 101
         self._told_at_end = RESERVE_PERCENT
 
     def update(self, left_s: float | None) -> None:
         """Look at the newest figure; once a tick. ``left_s``: time to the end of the plan, None where off it."""
-        c = self._c
-        percent = c.monitor.battery_percent
+        timeline = self._timeline
+        percent = self._vehicle.monitor.battery_percent
         if percent is None:
             return
         for level, what in ((CRITICAL_PERCENT, "battery critical"), (LOW_PERCENT, "battery low")):
             if percent < level <= self._told:
                 self._told = level - 1
-                c.alarm(what, percent=percent)
+                timeline.alarm(what, percent=percent)
                 break
         if self._steps and percent == self._steps[-1][1]:
             return
         if self._steps and percent > self._steps[-1][1]:
             self._steps.clear()  # another battery, or a better estimate
-        self._steps.append((c.now_s, percent))
+        self._steps.append((timeline.now_s, percent))
         if left_s is None or len(self._steps) < FEWEST_STEPS:
             return
         since_s, first = self._steps[0]
-        at_end = percent - (first - percent) / (c.now_s - since_s) * left_s
+        at_end = percent - (first - percent) / (timeline.now_s - since_s) * left_s
         if at_end < self._told_at_end:
             self._told_at_end = at_end - AGAIN_PERCENT
-            c.alarm(
+            timeline.alarm(
                 "the battery will not last", percent=percent, at_end_percent=round(at_end, 1), left_s=round(left_s, 1)
             )

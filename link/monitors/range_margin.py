@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.context import FlightContext
 
 
 class RangeWatch:
     """How much of the range of the station in control is left, by where the vehicle says it is, not by the plan."""
 
-    def __init__(self, context: FlightContext) -> None:
-        self._c = context
+    def __init__(self, flight: FlightContext) -> None:
+        self._flight = flight
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
         self._seen: tuple[float, str] | None = None
         self.margin_m: float | None = None
         """Range left, metres; negative outside. None while nothing is known."""
@@ -20,18 +23,17 @@ class RangeWatch:
 
     def update(self) -> None:
         """Measure the newest position; once a tick."""
-        c = self._c
-        position, holder = c.monitor.position, c.gate.holder
-        here = c.position_enu_m()
-        if position is None or holder is None or here is None:
+        vehicle = self._vehicle
+        position, station = vehicle.monitor.position, self._control.gate.holder
+        here = vehicle.position_enu_m()
+        if position is None or station is None or here is None:
             return
-        station = holder.removesuffix(VEHICLE_STATION)
         if self._seen == (position.boot_s, station):
             return
         self._seen = (position.boot_s, station)
-        index = np.array([c.plan.mission.station_index(station)])
-        self.margin_m = -float(c.plan.geometry.outside_m(index, np.array([here]))[0])
+        index = np.array([self._flight.plan.mission.station_index(station)])
+        self.margin_m = -float(self._flight.plan.geometry.outside_m(index, np.array([here]))[0])
         # A metre of doubt, so that it is told once.
         was, self.left = self.left, self.margin_m < (0.0 if not self.left else 1.0)
         if self.left and not was:
-            c.alarm("the vehicle is out of range", station=station, outside_m=round(-self.margin_m, 1))
+            self._timeline.alarm("the vehicle is out of range", station=station, outside_m=round(-self.margin_m, 1))

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs.flight import FlightState
-from link.monitors.latency_lead import Lead
-from link.session.context import FlightContext
+from link.monitors.latency_compensation import LatencyCompensation
+from link.session.timeline import Timeline
+from link.session.vehicle import Vehicle
 from link.setpoints.setpoint import Setpoint
 
 LAG_START_M = 5.0
@@ -28,18 +29,8 @@ the wall's clock as at that: what counts there is how this machine keeps up."""
 BLIND_SPEEDUP = 5.0
 LAG_TIME_S = 3.0
 """Time in which the lag is worked off."""
-STRANGE_M = 5.0
-STRANGE_COUNT, STRANGE_WITHIN_S, STRANGE_AGAIN_S = 2, 2.0, 10.0
-"""So many targets this far from every setpoint of ours within so long are told, and told again at most so often.
-
-A stranger's setpoint holds until our next one. With the echoes of `link.director.launch.STREAMED_MESSAGES` one that
-holds for a quarter of the time is seen twice within a second, for an eighth of it within two; less is seen as the
-echoes drift through the ticks, and moves the vehicle as little.
-"""
-GRACE_S = 1.0
-"""Until our first setpoints are in, the vehicle rightly shows a target of its own, as after a take-off."""
 DELAY_S = 0.25
-"""Tick and controller delay that is no fault of the vehicle, beside what of the link's latency is not led."""
+"""Tick and controller delay that is no fault of the vehicle, beside what of the link's latency is not compensated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +45,21 @@ class Tracking:
 
 
 class LagMonitor:
-    """Compares positions heard with the reference. `note` where it is, every tick a setpoint is sent; then `update`."""
+    """Compares positions heard with the reference. `note` where it is, every tick a setpoint is sent; then `update`.
 
-    def __init__(self, context: FlightContext, lead: Lead) -> None:
-        self._c = context
-        self._lead = lead
+    ``speedup``: how many times as fast as the wall's the flight's clock runs.
+    """
+
+    def __init__(
+        self, timeline: Timeline, vehicle: Vehicle, latency: LatencyCompensation, *, speedup: float = 1.0
+    ) -> None:
+        self._timeline = timeline
+        self._vehicle = vehicle
+        self._latency = latency
+        self._blind_after_s = BLIND_S * max(1.0, speedup / BLIND_SPEEDUP)
         self._sent: deque[tuple[float, Setpoint]] = deque(maxlen=600)
         self._boot_s = -math.inf
-        self._judged_s = context.now_s
+        self._judged_s = timeline.now_s
         self.tracking: Tracking | None = None
         self.worst_m = 0.0
         self._squares = 0.0
@@ -75,25 +73,26 @@ class LagMonitor:
 
     def note(self, setpoint: Setpoint) -> None:
         """Remember where the vehicle ought to be now."""
-        self._sent.append((self._c.now_s, setpoint))
+        self._sent.append((self._timeline.now_s, setpoint))
 
     def forget(self) -> None:
         """Start anew: the stream was interrupted."""
         self._sent.clear()
-        self._judged_s = self._c.now_s
+        self._judged_s = self._timeline.now_s
         self.tracking = self._lost_since_s = None
 
     def update(self) -> None:
         """Judge the newest position, if there is a new one."""
-        position = self._c.monitor.position
+        timeline, vehicle = self._timeline, self._vehicle
+        position = vehicle.monitor.position
         if position is None or position.boot_s <= self._boot_s or len(self._sent) < 2:
             return
-        time_s = self._c.monitor.our_time_s(position.boot_s)
+        time_s = vehicle.monitor.our_time_s(position.boot_s)
         if time_s is None:
             return
         self._boot_s = position.boot_s
         asked = self._asked_at(time_s)
-        here = self._c.position_enu_m()
+        here = vehicle.position_enu_m()
         if asked is None or here is None:
             return
         place, velocity = asked
@@ -108,13 +107,13 @@ class LagMonitor:
         else:
             behind, beside, flown = 0.0, float(np.linalg.norm(off)), 0.0
         error = float(np.linalg.norm(off))
-        self._judged_s = self._c.now_s
+        self._judged_s = timeline.now_s
         self.tracking = Tracking(time_s, error, behind, beside, flown)
         if not self.lost:
             self._lost_since_s = None
         elif self._lost_since_s is None:
-            self._lost_since_s = self._c.now_s
-        if self._c.state is not FlightState.CRUISE:
+            self._lost_since_s = timeline.now_s
+        if timeline.state is not FlightState.CRUISE:
             return
         self.worst_m = max(self.worst_m, error)
         self._squares += error * error
@@ -136,7 +135,7 @@ class LagMonitor:
         tracking = self.tracking
         if tracking is None or speed_m_s < 1.0:
             return 1.0
-        allowed_m = LAG_START_M + speed_m_s * (DELAY_S + self._lead.missing_s)
+        allowed_m = LAG_START_M + speed_m_s * (DELAY_S + self._latency.missing_s)
         if tracking.behind_m <= allowed_m:
             return 1.0
         wanted = tracking.speed_along_m_s - (tracking.behind_m - allowed_m) / LAG_TIME_S
@@ -155,10 +154,9 @@ class LagMonitor:
     @property
     def blind(self) -> bool:
         """Whether nothing has been known of the vehicle's place for too long."""
-        patience_s = BLIND_S * max(1.0, self._c.request.speedup / BLIND_SPEEDUP)
-        return self._c.now_s - self._judged_s > patience_s
+        return self._timeline.now_s - self._judged_s > self._blind_after_s
 
     @property
     def lost_for_s(self) -> float:
         """For how long it has not followed."""
-        return 0.0 if self._lost_since_s is None else self._c.now_s - self._lost_since_s
+        return 0.0 if self._lost_since_s is None else self._timeline.now_s - self._lost_since_s

@@ -1,4 +1,4 @@
-"""The share of frames that reach the vehicle, link by link."""
+"""What is known of our frames at the vehicle: when one last got there, and whether it takes anybody else's."""
 
 from __future__ import annotations
 
@@ -6,8 +6,20 @@ import math
 from collections import deque
 
 from gcs.flight import FlightState
-from link.monitors.tracking import GRACE_S, STRANGE_AGAIN_S, STRANGE_COUNT, STRANGE_M, STRANGE_WITHIN_S
-from link.session.context import FlightContext
+from link.session.control import Control
+from link.session.timeline import Timeline
+from link.session.vehicle import Vehicle
+
+FOREIGN_TARGET_M = 5.0
+FOREIGN_COUNT, FOREIGN_WITHIN_S, FOREIGN_AGAIN_S = 2, 2.0, 10.0
+"""So many targets this far from every setpoint of ours within so long are told, and told again at most so often.
+
+The setpoint of a foreign ground station holds until our next one. With the echoes of
+`link.director.launch.STREAMED_MESSAGES` one that holds for a quarter of the time is seen twice within a second, for an
+eighth of it within two; less is seen as the echoes drift through the ticks, and moves the vehicle as little.
+"""
+GRACE_S = 1.0
+"""Until our first setpoints are in, the vehicle rightly shows a target of its own, as after a take-off."""
 
 
 class UplinkMonitor:
@@ -17,57 +29,60 @@ class UplinkMonitor:
     When it grows older than the autopilot's time-out, the vehicle may have acted on our silence, whatever we hear.
     """
 
-    def __init__(self, context: FlightContext) -> None:
-        self._c = context
+    def __init__(self, timeline: Timeline, vehicle: Vehicle, control: Control) -> None:
+        self._timeline = timeline
+        self._vehicle = vehicle
+        self._control = control
         self._target_s = -math.inf
         self._proven_s = -math.inf
-        self._strange_since_s: float | None = None
-        self._strange: deque[float] = deque(maxlen=STRANGE_COUNT)
+        self._foreign_since_s: float | None = None
+        self._foreign: deque[float] = deque(maxlen=FOREIGN_COUNT)
         self._told_s = -math.inf
         self._ours_from_s = -math.inf
 
     def restart(self) -> None:
         """Count from now on: the stream begins."""
-        self._proven_s = self._c.now_s
-        self._strange_since_s = None
-        self._strange.clear()
-        self._ours_from_s = self._c.now_s + GRACE_S
+        timeline = self._timeline
+        self._proven_s = timeline.now_s
+        self._foreign_since_s = None
+        self._foreign.clear()
+        self._ours_from_s = timeline.now_s + GRACE_S
 
     def update(self) -> None:
         """Look at the newest answers; once a tick."""
-        c = self._c
-        self._proven_s = max(self._proven_s, c.monitor.links[c.fence.station_id].proven_s)
-        if c.monitor.target is None or c.monitor.target_s <= self._target_s:
+        vehicle, control = self._vehicle, self._control
+        self._proven_s = max(self._proven_s, vehicle.monitor.links[control.in_force.station_id].proven_s)
+        if vehicle.monitor.target is None or vehicle.monitor.target_s <= self._target_s:
             return
-        self._target_s = c.monitor.target_s
-        self._notice_strangers()
-        held = c.echoes.held(c.monitor.target)
+        self._target_s = vehicle.monitor.target_s
+        self._notice_foreign_targets()
+        held = control.echoes.held(vehicle.monitor.target)
         if held:
             # The oldest it may be: proof must not be younger than what it proves.
             self._proven_s = max(self._proven_s, held[0].sent_s)
 
-    def _notice_strangers(self) -> None:
+    def _notice_foreign_targets(self) -> None:
         """A target nowhere near our setpoints: somebody else streams, or the vehicle no longer takes ours."""
-        c = self._c
-        # Landing, and after a lapse, the vehicle flies a target of its own.
-        other = c.state in (FlightState.LANDING, FlightState.LAPSED) or c.now_s < self._ours_from_s
-        if other or c.echoes.distance_m(c.monitor.target) <= STRANGE_M:
-            self._strange_since_s = None
+        timeline = self._timeline
+        # Landing, and after the C2 link was lost, the vehicle flies a target of its own.
+        other = timeline.state in (FlightState.LANDING, FlightState.LAPSED) or timeline.now_s < self._ours_from_s
+        if other or self._control.echoes.distance_m(self._vehicle.monitor.target) <= FOREIGN_TARGET_M:
+            self._foreign_since_s = None
             return
-        if self._strange_since_s is None:
-            self._strange_since_s = c.now_s
-        self._strange.append(c.now_s)
-        often = len(self._strange) == STRANGE_COUNT and c.now_s - self._strange[0] <= STRANGE_WITHIN_S
-        if often and c.now_s - self._told_s > STRANGE_AGAIN_S:
-            self._told_s = c.now_s
-            c.alarm("the vehicle holds a target that is not ours")
+        if self._foreign_since_s is None:
+            self._foreign_since_s = timeline.now_s
+        self._foreign.append(timeline.now_s)
+        often = len(self._foreign) == FOREIGN_COUNT and timeline.now_s - self._foreign[0] <= FOREIGN_WITHIN_S
+        if often and timeline.now_s - self._told_s > FOREIGN_AGAIN_S:
+            self._told_s = timeline.now_s
+            timeline.alarm("the vehicle holds a target that is not ours")
 
     @property
-    def strange_for_s(self) -> float:
+    def foreign_for_s(self) -> float:
         """How long the vehicle has shown nothing but targets that are not ours."""
-        return 0.0 if self._strange_since_s is None else self._c.now_s - self._strange_since_s
+        return 0.0 if self._foreign_since_s is None else self._timeline.now_s - self._foreign_since_s
 
     @property
     def age_s(self) -> float:
         """Seconds since the newest frame known to have arrived was sent."""
-        return self._c.now_s - self._proven_s
+        return self._timeline.now_s - self._proven_s

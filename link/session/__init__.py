@@ -1,4 +1,4 @@
-"""What the parts of one flight share: its request, clock, events, control."""
+"""What the parts of one flight share: its request, its timeline, its vehicle, its control."""
 
 from link.session.request import FlightRequest
 

@@ -1,198 +1,57 @@
-"""What the parts of a flight share: the request, the wire, the clock of this step, and the way to tell people."""
+"""What the parts of one flight share."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
 
-from gcs.flight import EventKind, FlightEvent, FlightState, advance
 from gcs.plan import Plan
-from link.autopilot.local_frame import EkfOrigin
-from link.autopilot.profile import AutopilotProfile
+from link.autopilot.registry import PROFILES
 from link.clock import UtcScale
-from link.dialect import mavlink
-from link.microservices.command import Commander, Ticket
+from link.microservices.command import Commander
+from link.session.control import Control
 from link.session.request import FlightRequest
-from link.setpoints.local_projection import LocalProjection
-from link.setpoints.setpoint import Setpoint
-from link.telemetry.setpoint_echo import EchoTracker, Sent
+from link.session.timeline import Timeline
+from link.session.vehicle import Vehicle
+from link.telemetry.setpoint_echo import EchoTracker
 from link.telemetry.vehicle_monitor import VehicleMonitor
-from link.transport.gate import VEHICLE_SPEAKER, Fence, TransmitterGate
+from link.transport.gate import TransmitterGate
+from link.wire.codec import StationCodec
 
-if TYPE_CHECKING:
-    from link.handover.gcs_ownership import Keeper
-
-VEHICLE_STATION = VEHICLE_SPEAKER
-"""Suffix of the gate's extra station that speaks with the vehicle's own id over a station's link (see ownership)."""
-
-
-def plain(value: Any) -> Any:
-    """The same with None for every number that is not finite: events are JSON, and a vehicle may say NaN."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(inner) for inner in value]
-    return value
+ECHO_MEMORY_S = 5.0
+"""For so long a setpoint is remembered that the vehicle may repeat."""
 
 
 @dataclass
 class FlightContext:
-    """One flight's shared parts. ``now_s`` is the flight's clock at this step."""
+    """One flight's request, the plan it flies (another one after a replan), and its three shared parts."""
 
     request: FlightRequest
     plan: Plan
-    profile: AutopilotProfile
-    gate: TransmitterGate
-    monitor: VehicleMonitor
-    commander: Commander
-    echoes: EchoTracker
-    utc: UtcScale
-    system_ids: Mapping[str, int]
-    local: LocalProjection
-    now_s: float = 0.0
-    state: FlightState = FlightState.CONNECTING
-    launched_s: float | None = None
-    """The flight's clock at T+0."""
-    origin: EkfOrigin | None = None
-    """The vehicle's EKF origin as the station in control was told it."""
-    origin_s: float = -math.inf
-    events: list[FlightEvent] = field(default_factory=list)
-    setpoints_sent: int = 0
-    last_setpoint_s: float = -math.inf
-    last_setpoint: Setpoint | None = None
-    keeper: Keeper | None = None
-    """Moves ownership from station to station in flight, where that is how this vehicle is told of handovers."""
-    _sequence: int = 0
+    timeline: Timeline
+    vehicle: Vehicle
+    control: Control
 
-    # -- people -------------------------------------------------------------------------------------------------------
+    @classmethod
+    def begin(
+        cls, request: FlightRequest, codecs: Mapping[str, StationCodec], *, now_s: float, epoch_unix_s: float
+    ) -> FlightContext:
+        """A flight at its beginning: nobody is in control and nothing has been heard.
 
-    def emit(self, kind: EventKind, **data: Any) -> None:
-        """Write an event."""
-        self._sequence += 1
-        t_plus = None if self.launched_s is None else round(self.now_s - self.launched_s, 6)
-        utc = self.utc.text(self.now_s)
-        self.events.append(
-            FlightEvent(self._sequence, kind, round(self.now_s, 6), t_plus, utc, self.state, plain(data))
+        ``codecs`` are the stations'; ``epoch_unix_s`` is UTC at 0 of the flight's clock, ``now_s`` that clock now.
+        """
+        plan, system_ids = request.flown_plan, request.system_ids
+        vehicle_id = plan.mission.options.vehicle_system_id
+        profile = PROFILES[request.autopilot]
+        timeline = Timeline(UtcScale(epoch_unix_s), now_s)
+        own_ids = frozenset(system_ids.values()) | {vehicle_id}
+        monitor = VehicleMonitor(request.stations, vehicle_id, own_ids, request.urls)
+        vehicle = Vehicle(profile, monitor, plan.plane)
+        gate = TransmitterGate(
+            {station: codec.encode for station, codec in codecs.items()},
+            {s: StationCodec(vehicle_id, 190, signing=codec.signing).encode for s, codec in codecs.items()},
         )
-
-    def alarm(self, what: str, **data: Any) -> None:
-        """Something a person must know at once."""
-        self.emit(EventKind.ALARM, what=what, **data)
-
-    def become(self, state: FlightState, reason: str = "") -> None:
-        """Change the flight's state. Raises `gcs.flight.TransitionError` where that cannot follow."""
-        before, self.state = self.state, advance(self.state, state)
-        self.emit(EventKind.STATE, **{"from": before.value, "to": state.value, "reason": reason})
-
-    # -- the wire -----------------------------------------------------------------------------------------------------
-
-    @property
-    def vehicle(self) -> int:
-        """The vehicle's system id."""
-        return self.monitor.vehicle_system_id
-
-    @property
-    def fence(self) -> Fence:
-        """The grant in force. Raises `RuntimeError` while nobody is in control: the caller must have granted."""
-        fence = self.gate.fence
-        if fence is None:
-            raise RuntimeError("nobody is in control")
-        return fence
-
-    def grant(self, station_id: str, reason: str) -> None:
-        """Move control to a station, at once, and say so."""
-        if self.gate.holder == station_id:
-            return
-        before = self.gate.holder
-        fence = self.gate.grant(station_id)
-        self.emit(EventKind.GATE, fence=fence.number, station=station_id, before=before, reason=reason)
-
-    def start_command(
-        self, name: str, command: int, params: tuple[float, ...] = (), *, retry_s: float = 0.5, attempts: int = 6
-    ) -> Ticket:
-        """Send a command from the station in control."""
-        return self.commander.start(
-            self.now_s,
-            self.fence,
-            name,
-            command,
-            params,
-            target_system=self.vehicle,
-            retry_s=retry_s,
-            attempts=attempts,
-        )
-
-    def start_mode(self, mode: str) -> Ticket:
-        """Ask for a flight mode by its name; only the HEARTBEAT tells whether it came."""
-        return self.start_command(f"mode {mode}", mavlink.MAV_CMD_DO_SET_MODE, self.profile.set_mode_parameters(mode))
-
-    def send_setpoint(self, setpoint: Setpoint) -> None:
-        """Send a setpoint from the station in control, and remember it. Raises `UnsafeSetpoint`, and sends nothing."""
-        message = self.profile.encode(
-            setpoint,
-            target_system=self.vehicle,
-            time_boot_ms=int(self.now_s * 1000.0) & 0xFFFFFFFF,
-            origin=self.origin,
-        )
-        fence = self.fence
-        self.gate.send(fence, message)
-        self.setpoints_sent += 1
-        self.last_setpoint_s = self.now_s
-        self.last_setpoint = setpoint
-        if self.origin is not None:
-            north, east = self.profile.north_east_m(self.origin, setpoint.lat_deg, setpoint.lon_deg)
-            down = self.origin.alt_amsl_m - setpoint.alt_amsl_m
-            self.echoes.note(
-                Sent(
-                    self.now_s,
-                    fence.station_id,
-                    fence.number,
-                    (north, east, down),
-                    setpoint.velocity_ned_m_s,
-                    setpoint.acceleration_ned_m_s2,
-                )
-            )
-
-    # -- the vehicle --------------------------------------------------------------------------------------------------
-
-    @property
-    def armed(self) -> bool:
-        """Whether the last HEARTBEAT showed armed motors."""
-        return self.monitor.heartbeat is not None and self.monitor.heartbeat.armed
-
-    @property
-    def on_ground(self) -> bool:
-        """Whether the vehicle said it had landed."""
-        return bool(self.monitor.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
-
-    @property
-    def mode(self) -> str | None:
-        """Mode of the last HEARTBEAT, by name."""
-        return None if self.monitor.heartbeat is None else self.profile.mode_of(self.monitor.heartbeat)
-
-    @property
-    def follows(self) -> bool:
-        """Whether the vehicle follows setpoints, by its HEARTBEAT."""
-        heartbeat = self.monitor.heartbeat
-        return heartbeat is not None and self.profile.is_offboard(heartbeat)
-
-    def adopt_origin(self, station_id: str) -> bool:
-        """Take the EKF origin a station was told; whether it is another than before."""
-        link = self.monitor.links[station_id]
-        if link.origin is None or link.origin_s <= self.origin_s:
-            return False
-        changed = self.origin is not None and link.origin != self.origin
-        self.origin, self.origin_s = link.origin, link.origin_s
-        return changed
-
-    def position_enu_m(self) -> tuple[float, float, float] | None:
-        """Where the vehicle last said it was, in the plan's plane."""
-        position = self.monitor.position
-        if position is None:
-            return None
-        east, north = self.local.to_plane(position.lat_deg, position.lon_deg)
-        return east, north, position.alt_amsl_m - self.plan.plane.alt_amsl_m
+        echoes = EchoTracker(runs_on=profile.target_runs_on, memory=math.ceil(ECHO_MEMORY_S * request.rate_hz))
+        control = Control(timeline, vehicle, gate, Commander(gate.send, system_ids), echoes, system_ids)
+        return cls(request, plan, timeline, vehicle, control)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator
 from typing import TypeVar
 
 from link.microservices.command import Ticket
-from link.session.context import FlightContext
+from link.session.timeline import Timeline
 
 T = TypeVar("T")
 Steps = Generator[None, None, T]
@@ -17,21 +17,14 @@ class Refused(Exception):  # noqa: N818 - an outcome, not an error of ours
     """The flight does not start; the message is for people."""
 
 
-def wait_until(context: FlightContext, condition: Callable[[], bool], timeout_s: float) -> Steps[bool]:
+def wait_until(timeline: Timeline, condition: Callable[[], bool], timeout_s: float) -> Steps[bool]:
     """Wait for a condition; whether it came true in time."""
-    deadline_s = context.now_s + timeout_s
+    deadline_s = timeline.now_s + timeout_s
     while not condition():
-        if context.now_s >= deadline_s:
+        if timeline.now_s >= deadline_s:
             return False
         yield
     return True
-
-
-def pause(context: FlightContext, duration_s: float) -> Steps[None]:
-    """Wait so long."""
-    until_s = context.now_s + duration_s
-    while context.now_s < until_s:
-        yield
 
 
 def answered(ticket: Ticket) -> Steps[Ticket]:

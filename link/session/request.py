@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from enum import StrEnum
 from typing import Any
 
 from gcs.errors import InputFault, PlanError
@@ -13,11 +14,24 @@ from link.autopilot.registry import PROFILES
 from link.errors import EndpointUrlError, FlightRequestError
 from link.transport.url import parse_url
 
-HANDOVER_WAYS = ("auto", "gate", "range", "parameter", "operator_control")
-"""How a vehicle is told of a handover: see `link.handover.handover`."""
+
+class HandoverWay(StrEnum):
+    """How a vehicle is told of a handover: see `link.handover.handover`."""
+
+    AUTO = "auto"
+    """As the vehicle's autopilot and version allow."""
+    GATE = "gate"
+    RANGE = "range"
+    PARAMETER = "parameter"
+    OPERATOR_CONTROL = "operator_control"
+
+
+HANDOVER_WAYS = tuple(way.value for way in HandoverWay)
 SET_PARAMETERS = ("auto", "yes", "no")
 LAST_RESORTS = ("return", "land", "stay")
 MIN_START_REST_M_S = 0.01
+_KEYS = {"lay_geofence": "fence"}
+"""Fields that documents name otherwise."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +43,8 @@ class FlightRequest:
     links too, where they have system ids: a new plan in flight may use them then. Times are seconds of the flight's
     clock.
 
-    - ``auto_launch``: go as soon as the preflight has passed; otherwise wait for the word.
-    - ``authorised_until_s``: T+ of the plan up to which the flight may go on without a further word (None: all).
+    - ``auto_launch``: go as soon as the preflight has passed; otherwise wait for the launch command.
+    - ``authorised_until_s``: T+ of the plan up to which the flight may go on without a further command (None: all).
     - ``confirmation_time_s``: how long a handover may wait for the vehicle's evidence. A plan whose overlaps are
       shorter than this and ``overlap_guard_s`` of the way is refused.
     - ``lead_limit_s``: by how much of the link's latency, at most, setpoints are asked for ahead; 0: not at all.
@@ -39,12 +53,12 @@ class FlightRequest:
     - ``set_parameters``: whether failsafe parameters found unsafe are set (and read back): ``"auto"`` on our simulator
       alone, ``"yes"``, or ``"no"``: then the flight is refused with what to set.
     - ``rally``: upload the mission's safe points as rally points (what the vehicle held comes back after the flight);
-      ``fence``: lay a fence around the plan for the flight.
-    - ``operator_words``: each handover needs the next station's operator's word.
+      ``lay_geofence``: lay a geofence around the plan for the flight (``fence`` in a document).
+    - ``operator_words``: each handover needs the command of the receiving station's operator.
     - ``wait_for_station_s``: how long to stand before a station that is not ready until the contingency is flown.
     - ``hold_limit_s``: how long a hold nobody asked for lasts until the contingency is flown.
-    - ``last_resort``: the autopilot's own mode commanded when we stay silent after a lapse and nobody says a word.
-    - ``lost_after_s``: silence of the vehicle after a lapse until the flight is given up as lost.
+    - ``last_resort``: the autopilot's own mode, set when nobody commands anything after the C2 link was lost.
+    - ``lost_after_s``: silence of the vehicle after the C2 link was lost until the flight is given up as lost.
     - ``rescue``: take a vehicle that is locked to other stations' ids (ArduPilot) by using its own id.
     - ``signing_key``: ``file:PATH`` or ``env:NAME``; ``signing_state`` the folder its stamps are kept in.
     """
@@ -65,7 +79,7 @@ class FlightRequest:
     set_parameters: str = "auto"
     handover_way: str = "auto"
     rally: bool = True
-    fence: bool = False
+    lay_geofence: bool = False
     operator_words: bool = False
     wait_for_station_s: float = 60.0
     hold_limit_s: float = 300.0
@@ -121,6 +135,12 @@ class FlightRequest:
         """Stations with a link: the plan's in flight order, then those in reserve."""
         return tuple(dict.fromkeys([*self.flown_plan.station_ids, *self.links]))
 
+    @property
+    def system_ids(self) -> dict[str, int]:
+        """The MAVLink system id of each of `stations`."""
+        mission = self.flown_plan.mission
+        return {s: int(mission.stations[mission.station_index(s)].system_id or 0) for s in self.stations}
+
     def _numbers(self) -> list[InputFault]:
         limits = {
             "rate_hz": (5.0, 100.0),
@@ -167,8 +187,8 @@ class FlightRequest:
             if getattr(self, name) not in words
         ]
         profile = PROFILES.get(self.autopilot)
-        if self.handover_way == "parameter" and profile is not None and not profile.filters_station_ids:
-            allowed_ways = ", ".join(way for way in HANDOVER_WAYS if way != "parameter")
+        if self.handover_way == HandoverWay.PARAMETER and profile is not None and not profile.filters_station_ids:
+            allowed_ways = ", ".join(way for way in HANDOVER_WAYS if way != HandoverWay.PARAMETER)
             what = f"{profile.title} has no parameter that says whom it hears"
             problems.append(InputFault("handover_way", what, "parameter", allowed_ways, "choose gate"))
         key = self.signing_key
@@ -210,7 +230,7 @@ class FlightRequest:
 
     def to_document(self) -> dict[str, Any]:
         """As a JSON object."""
-        document = {f.name: getattr(self, f.name) for f in fields(self) if not f.name.startswith("_")}
+        document = {_KEYS.get(f.name, f.name): getattr(self, f.name) for f in fields(self) if f.name[0] != "_"}
         document["links"] = {s: urls[0] if len(urls) == 1 else list(urls) for s, urls in self.urls.items()}
         document["plan"] = dict(self.plan)
         return document
@@ -218,7 +238,7 @@ class FlightRequest:
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> FlightRequest:
         """From `to_document`. Raises `FlightRequestError` for unknown or missing fields too."""
-        known = {f.name for f in fields(cls) if not f.name.startswith("_")}
+        known = {_KEYS.get(f.name, f.name): f.name for f in fields(cls) if f.name[0] != "_"}
         problems = [
             InputFault(name, "no such field", allowed=", ".join(sorted(known)))
             for name in document
@@ -227,7 +247,7 @@ class FlightRequest:
         problems += [InputFault(name, "missing") for name in ("plan", "autopilot", "links") if name not in document]
         if problems:
             raise FlightRequestError(problems)
-        return cls(**document)
+        return cls(**{known[key]: value for key, value in document.items()})
 
 
 def launch_problems(plan: Plan, request: FlightRequest) -> list[InputFault]:

@@ -1,4 +1,4 @@
-"""The streamer: the one process that talks to the vehicle during a flight. ``python -m link.streamer.process RUN_DIR``.
+"""The streamer: the one process that talks to the vehicle during a flight. ``python -m link.streamer RUN_DIR``.
 
 It owns every socket, drives `link.director.core.FlightCore` on the real clock and does nothing else, so that nothing
 else can delay a setpoint: as a thread beside a web service the same loop stalled for a second. It outlives whoever
@@ -10,7 +10,7 @@ happens), ``result.json`` (at the end), ``pid`` and ``streamer.log``.
 
 Lines on the socket are JSON objects. In: ``{"attach": SEQUENCE}`` (events after that one are sent, then all new ones),
 ``{"id": N, "word": ..., ...}``, ``{"id": N, "status": true}``. Out: ``{"event": {...}}``, ``{"reply": N, "ok": true}``,
-``{"reply": N, "error": "..."}``, ``{"reply": N, "status": {...}}``. The word ``replan`` names a plan by
+``{"reply": N, "error": "..."}``, ``{"reply": N, "status": {...}}``. The command ``replan`` names a plan by
 ``new_plan_sha256`` that has been put into the run folder as ``plan-SHA256.json``; it is read and judged in a thread
 beside the flight.
 
@@ -36,6 +36,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from gcs.errors import InputFault
 from gcs.flight import OperatorCommand, TransitionError
 from link.clock import FlightClock, PacedClock
 from link.director.core import FlightCore
@@ -64,15 +65,13 @@ def make_codecs(request: FlightRequest, run_dir: Path) -> dict[str, StationCodec
 
     Raises `link.errors.SigningError` when the key or the stamps cannot be used.
     """
-    plan = request.flown_plan
     key = None
     if request.signing_key is not None:
         kind, name = request.signing_key.split(":", 1)
         key = SigningKey.from_file(name) if kind == "file" else SigningKey.from_environment(name)
     folder = Path(request.signing_state) if request.signing_state is not None else run_dir
     codecs = {}
-    for station_id in request.stations:
-        system_id = int(plan.mission.stations[plan.mission.station_index(station_id)].system_id or 0)
+    for station_id, system_id in request.system_ids.items():
         signing = None
         if key is not None:
             # A distinct link id for each station; RADIO_STATUS comes from the modem, which has no key.
@@ -88,8 +87,6 @@ def open_links(request: FlightRequest) -> dict[str, Endpoint]:
     Raises `EndpointError`, or `FlightRequestError` for links this flight must not use: not loopback with a speed-up, or
     unsigned.
     """
-    from gcs.errors import InputFault
-
     endpoints: dict[str, Endpoint] = {}
     try:
         named = [(station, url) for station, urls in request.urls.items() for url in urls]
@@ -197,7 +194,7 @@ class Streamer:
             for data in endpoint.receive():
                 self.core.receive(self._first[url], data, self.clock.now_s(), url)
                 if isinstance(self.clock, PacedClock):
-                    position = self.core.context.monitor.position
+                    position = self.core.context.vehicle.monitor.position
                     self.clock.heard(None if position is None else position.boot_s)
         for client, line in self.control.receive():
             self._answer(client, line)
@@ -251,7 +248,7 @@ class Streamer:
         self.control.send(client, reply | ({"ok": True} if error is None else {"error": error}))
 
     def _obey(self, line: Mapping[str, Any], **more: Any) -> str | None:
-        """Pass a word on; why it was refused, None when it was not."""
+        """Pass an operator command on; why it was refused, None when it was not."""
         known = {"by", "handover", "until_s", "reason", "plan_sha256", "join_s", "leave_s"}
         try:
             given = {k: v for k, v in line.items() if k in known and v is not None}

@@ -151,22 +151,22 @@ class RunningFlight:
 
     # -- speaking -----------------------------------------------------------------------------------------------------
 
-    def command(self, word: str, **fields: Any) -> None:
-        """Give the flight an operator command (`gcs.flight`); fields as in `link.director.core.FlightCore.command`.
+    def command(self, command: str, **fields: Any) -> None:
+        """Give the flight an operator command; fields as in `link.director.core.FlightCore.command`.
 
         Raises `TransitionError` when the flight refuses it, `SupervisorError` when it cannot be reached.
         """
-        reply = self._ask({"word": str(word), **fields})
+        reply = self._ask({"word": str(command), **fields})
         if "error" in reply:
             raise TransitionError(str(reply["error"]))
 
     def replan(
         self, document: Mapping[str, Any], *, join_s: float | None = None, leave_s: float | None = None, **fields: Any
     ) -> None:
-        """The word `replan`: fly another plan from here on (`gcs.planning.replan.Replanned`); times for a flight that
-        stands.
+        """The operator command `replan`: fly another plan from here on (`gcs.planning.replanning.Replanned`).
 
-        The plan's document stays in the run folder. Raises as `command` does, and ``OSError``.
+        ``join_s`` and ``leave_s`` are for a flight that stands. The plan's document stays in the run folder. Raises as
+        `command` does, and ``OSError``.
         """
         name = str(document["plan_sha256"])
         partial = self.run_dir / f"plan-{name}.json.partial"

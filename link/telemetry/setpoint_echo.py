@@ -10,11 +10,11 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A setpoint that went out: when, from whom, and what it asked in the vehicle's local frame (NED)."""
+    """A setpoint that went out: when, from whom, under which grant, and what it asked in the local frame (NED)."""
 
     sent_s: float
     station_id: str
-    fence: int
+    grant: int
     position_m: tuple[float, float, float]
     velocity_m_s: tuple[float, float, float]
     acceleration_m_s2: tuple[float, float, float]
@@ -37,8 +37,8 @@ class EchoTracker:
     the setpoint it began with was proved while it was fresh, and a longer reach would take more of them for possible.
     As a place (`distance_m`) it is near what we send meanwhile, which goes on too: in 2.85 s without uplink, after
     which the C2 link counts as lost, it comes 0.7 m away from that in cruise, and 5.1 m in a stop at 2.5 m/s^2 from
-    15 m/s: 7.5 m are allowed here and 5 m more by `link.monitors.tracking.STRANGE_M`. A vehicle that brakes twice as
-    hard may get an alarm of a strange target in the last half second before that; it never brings the loss
+    15 m/s: 7.5 m are allowed here and 5 m more by `link.monitors.uplink.FOREIGN_TARGET_M`. A vehicle that brakes twice
+    as hard may get an alarm of a foreign target in the last half second before that loss; it never brings the loss
     about."""
     LATELY_S = 1.5
 

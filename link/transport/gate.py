@@ -1,12 +1,12 @@
 """The transmitter gate: the only door to a link, open for one station at a time.
 
 No stock autopilot enforces who is in control (PX4 does not look at the sender of a setpoint at all), so we are the
-arbiter. Every grant of control has a fencing number, one higher than the last; whoever sends shows the fence it was
-given, and an old one opens nothing, however late its holder wakes up. Control traffic is everything but two
+arbiter. Every grant of control has a number, one higher than the last; whoever sends shows the grant it was given,
+and an old one opens nothing, however late its holder wakes up. Control traffic is everything but two
 things that command nothing and have doors of their own:
 
-- heartbeats, from the station in control, and from the next one while control is being moved (ownership and
-  heartbeats move together: ArduPilot's ground-station failsafe counts the owner's heartbeats alone);
+- heartbeats, from the station in control, and from the next one while control is being moved (control and
+  heartbeats move together: ArduPilot's ground-station failsafe counts the heartbeats of the station it obeys alone);
 - TIMESYNC probes, from any station, which prove a link both ways before it is needed.
 """
 
@@ -20,18 +20,41 @@ from link.errors import GateClosed
 
 Encode = Callable[[Any], bytes]
 
-VEHICLE_SPEAKER = "!"
-"""Suffix of a station's second encoder, which speaks with the vehicle's own id over that station's link."""
+_AS_VEHICLE = "!"
 _HEARTBEAT = 0
 _TIMESYNC = 111
 
 
+@dataclass(frozen=True, slots=True)
+class Sender:
+    """Who speaks over a station's link: the station, or we with the vehicle's own system id (``as_vehicle``).
+
+    As text, in events and messages, the second is the station's id with an exclamation mark behind it.
+    """
+
+    station_id: str
+    as_vehicle: bool = False
+
+    def __str__(self) -> str:
+        return self.station_id + (_AS_VEHICLE if self.as_vehicle else "")
+
+    @classmethod
+    def from_text(cls, text: str) -> Sender:
+        """From ``str`` of it."""
+        return cls(text.removesuffix(_AS_VEHICLE), text.endswith(_AS_VEHICLE))
+
+
 @dataclass(frozen=True)
-class Fence:
-    """Proof of a grant: its number and the station it was given to."""
+class ControlGrant:
+    """Proof that control was given: the grant's number, and who may send under it."""
 
     number: int
-    station_id: str
+    sender: Sender
+
+    @property
+    def station_id(self) -> str:
+        """The station whose link it is for."""
+        return self.sender.station_id
 
 
 @dataclass
@@ -47,98 +70,105 @@ class GateStats:
 class TransmitterGate:
     """Who may send. ``encoders`` maps each station id to what turns a message into its frame (its codec).
 
-    Raises `KeyError` for a station it was not given.
+    ``as_vehicle`` does so for frames that carry the vehicle's own id over that station's link. Raises `KeyError` for a
+    sender it was given no encoder for.
     """
 
-    def __init__(self, encoders: Mapping[str, Encode]) -> None:
-        self._encoders = dict(encoders)
-        self._fence: Fence | None = None
+    def __init__(self, encoders: Mapping[str, Encode], as_vehicle: Mapping[str, Encode] | None = None) -> None:
+        self._encoders = {Sender(station_id): encode for station_id, encode in encoders.items()}
+        for station_id, encode in (as_vehicle or {}).items():
+            self._encoders[Sender(station_id, as_vehicle=True)] = encode
+        self._grant: ControlGrant | None = None
         self._number = 0
         self._incoming: str | None = None
-        self._outgoing: list[tuple[str, bytes]] = []
+        self._outgoing: list[tuple[Sender, bytes]] = []
         self.stats = GateStats()
 
     @property
-    def holder(self) -> str | None:
-        """The station in control, None while nobody is."""
-        return None if self._fence is None else self._fence.station_id
+    def in_force(self) -> ControlGrant | None:
+        """The grant in force, None while nobody is in control."""
+        return self._grant
 
     @property
-    def fence(self) -> Fence | None:
-        """The grant in force."""
-        return self._fence
+    def holder(self) -> str | None:
+        """The station in control, under its own id or the vehicle's; None while nobody is."""
+        return None if self._grant is None else self._grant.station_id
 
     @property
     def incoming(self) -> str | None:
         """The station control is being moved to or from, which may send heartbeats beside the holder."""
         return self._incoming
 
-    def grant(self, station_id: str) -> Fence:
+    def grant(self, station_id: str, *, as_vehicle: bool = False) -> ControlGrant:
         """Give control to ``station_id`` and take it from everybody else, at once."""
-        if station_id not in self._encoders:
-            raise KeyError(f"no such station: {station_id!r}")
+        sender = Sender(station_id, as_vehicle)
+        if sender not in self._encoders:
+            raise KeyError(f"no such station: {str(sender)!r}")
         self._number += 1
-        self._fence = Fence(self._number, station_id)
-        return self._fence
+        self._grant = ControlGrant(self._number, sender)
+        return self._grant
 
     def revoke(self) -> None:
         """Nobody is in control: silence."""
         self._number += 1
-        self._fence = None
+        self._grant = None
         self._incoming = None
 
     def accompany(self, station_id: str | None) -> None:
         """Let ``station_id`` send heartbeats beside the holder while control moves; None ends it."""
-        if station_id is not None and station_id not in self._encoders:
+        if station_id is not None and Sender(station_id) not in self._encoders:
             raise KeyError(f"no such station: {station_id!r}")
         self._incoming = station_id
 
-    def admits(self, fence: Fence | None) -> bool:
-        """Whether ``fence`` is the grant in force."""
-        return fence is not None and fence == self._fence
+    def admits(self, grant: ControlGrant | None) -> bool:
+        """Whether ``grant`` is the one in force."""
+        return grant is not None and grant == self._grant
 
-    def send(self, fence: Fence | None, message: Any, *, speaker: str | None = None) -> bytes:
-        """Send control traffic under ``fence``; the frame that went out. Raises `GateClosed` for an old fence.
+    def send(self, grant: ControlGrant | None, message: Any, *, sender: Sender | None = None) -> bytes:
+        """Send control traffic under ``grant``; the frame that went out. Raises `GateClosed` for an old grant.
 
-        ``speaker``: the other encoder of the same station's link (its id with `VEHICLE_SPEAKER`), where the frame is to
-        carry the vehicle's own id; anybody else's is no door.
+        ``sender``: the other voice of the same station's link, where the frame is to carry another id than the grant's;
+        anybody else's is no door.
         """
-        if fence is None or not self.admits(fence):
+        if grant is None or not self.admits(grant):
             self.stats.blocked += 1
-            shown = "no fence" if fence is None else f"fence {fence.number} of {fence.station_id}"
-            held = "nobody is" if self._fence is None else f"{self._fence.station_id} ({self._fence.number}) is"
+            shown = "no grant" if grant is None else f"grant {grant.number} of {grant.sender}"
+            held = "nobody is" if self._grant is None else f"{self._grant.sender} ({self._grant.number}) is"
             raise GateClosed(f"{message.get_type()} under {shown} was not sent: {held} in control")
-        station = fence.station_id.removesuffix(VEHICLE_SPEAKER)
-        if speaker is not None and speaker.removesuffix(VEHICLE_SPEAKER) != station:
+        if sender is not None and sender.station_id != grant.station_id:
             self.stats.blocked += 1
-            raise GateClosed(f"{message.get_type()} of {speaker} was not sent: {station} is in control")
+            raise GateClosed(f"{message.get_type()} of {sender} was not sent: {grant.station_id} is in control")
         self.stats.control += 1
-        return self._put(fence.station_id if speaker is None else speaker, message)
+        return self._put(grant.sender if sender is None else sender, message)
 
     def heartbeat(self, station_id: str, message: Any) -> bool:
-        """Send a heartbeat of ``station_id``; False, and nothing sent, when it is neither in control nor coming."""
+        """Send a heartbeat of ``station_id``; False, and nothing sent, when it is neither in control nor coming.
+
+        Nor is one sent of a station whose link carries the vehicle's own id: the vehicle is no ground station.
+        """
         if message.get_msgId() != _HEARTBEAT:
             raise GateClosed(f"{message.get_type()} is not a heartbeat and was not sent")
-        if station_id not in (self.holder, self._incoming) or self._fence is None:
+        sender = Sender(station_id)
+        if self._grant is None or (sender != self._grant.sender and station_id != self._incoming):
             self.stats.blocked += 1
             return False
         self.stats.heartbeats += 1
-        self._put(station_id, message)
+        self._put(sender, message)
         return True
 
-    def probe(self, station_id: str, message: Any) -> None:
-        """Send a TIMESYNC of any station."""
+    def probe(self, station_id: str, message: Any, *, as_vehicle: bool = False) -> None:
+        """Send a TIMESYNC of any station, under its own id or the vehicle's."""
         if message.get_msgId() != _TIMESYNC:
             raise GateClosed(f"{message.get_type()} is not a probe and was not sent")
         self.stats.probes += 1
-        self._put(station_id, message)
+        self._put(Sender(station_id, as_vehicle), message)
 
-    def take_outgoing(self) -> list[tuple[str, bytes]]:
-        """The frames let through since the last call, in order, each with its station."""
+    def take_outgoing(self) -> list[tuple[Sender, bytes]]:
+        """The frames let through since the last call, in order, each with its sender."""
         outgoing, self._outgoing = self._outgoing, []
         return outgoing
 
-    def _put(self, station_id: str, message: Any) -> bytes:
-        frame = self._encoders[station_id](message)
-        self._outgoing.append((station_id, frame))
+    def _put(self, sender: Sender, message: Any) -> bytes:
+        frame = self._encoders[sender](message)
+        self._outgoing.append((sender, frame))
         return frame

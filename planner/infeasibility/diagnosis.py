@@ -2,7 +2,7 @@
 
 A vehicle can hover in every overlap of a chain of ranges, so where the ends lie in range and a chain links them there
 is always a plan. What is told when there is none stands here; remedies of other kinds are sought in
-`planner.infeasibility.explanation`.
+`planner.infeasibility.alternatives`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from planner.coverage.disc import covering_stations, range_to_meet_m, usable_sta
 from planner.coverage.overlap import MIN_OVERLAP_M, AdjacentPairs, adjacent_pairs, overlap_depth_m, overlap_point_m
 from planner.errors import Infeasibility
 from planner.problem import UNMASKED_DEG, Problem
+from planner.remedy import End, LowerElevation, RaiseLimit, RaiseRange, SetAltitude
 
 # A broken chain is explained from all pairs up to so many stations, from so many pairs at most above.
 ALL_PAIRS_STATIONS = 1_000
@@ -32,7 +33,8 @@ def diagnose(problem: Problem) -> Infeasibility | None:
     (its widest gap as narrow as any chain has it), more handovers than allowed. None is a promise: a vehicle can
     then always stop and hover in every overlap on its way.
     """
-    for name, position in (("start", problem.start_m), ("destination", problem.destination_m)):
+    ends: tuple[tuple[End, Array], ...] = (("start", problem.start_m), ("destination", problem.destination_m))
+    for name, position in ends:
         fault = _altitude_fault(problem, name, position) or _cover_fault(problem, name, position)
         if fault is not None:
             return fault
@@ -47,7 +49,7 @@ def diagnose(problem: Problem) -> Infeasibility | None:
     return _handover_fault(problem, sources, targets, adjacent)
 
 
-def _altitude_fault(problem: Problem, name: str, position: Array) -> Infeasibility | None:
+def _altitude_fault(problem: Problem, name: End, position: Array) -> Infeasibility | None:
     limits, altitude = problem.limits, float(position[2])
     nearest = min(max(altitude, limits.min_alt_m), limits.max_alt_m)
     if nearest == altitude:
@@ -60,7 +62,7 @@ def _altitude_fault(problem: Problem, name: str, position: Array) -> Infeasibili
         ),
         gap_m=abs(altitude - nearest),
         position_m=_point(position),
-        fix={"action": "set_altitude", "of": name, "alt_m": nearest, "by_m": nearest - altitude},
+        remedies=((SetAltitude(name, nearest, nearest - altitude),),),
     )
 
 
@@ -79,8 +81,8 @@ def _cover_fault(problem: Problem, name: str, position: Array) -> Infeasibility 
         f"the {name} is out of range of every station: the nearest, station {nearest}, misses it by {gap:.3f} m; "
         f"raise its range by {by:.3f} m or move the {name}"
     )
-    fix: dict[str, object] = {"action": "raise_range", "station": nearest, "by_m": by}
-    return Infeasibility(f"{name}_uncovered", message, (nearest,), gap, _point(position), fix)
+    remedy = (RaiseRange(nearest, by),)
+    return Infeasibility(f"{name}_uncovered", message, (nearest,), gap, _point(position), (remedy,))
 
 
 def _elevation_fault(problem: Problem, name: str, position: Array, inside: Indices) -> Infeasibility:
@@ -100,7 +102,7 @@ def _elevation_fault(problem: Problem, name: str, position: Array, inside: Indic
         (station,),
         0.0,
         _point(position),
-        {"action": "lower_elevation", "station": station, "to_deg": to, "by_deg": lowest - to},
+        ((LowerElevation(station, to, lowest - to),),),
     )
 
 
@@ -124,7 +126,7 @@ def _handover_fault(
     return Infeasibility(
         "limits",
         f"at least {fewest} handover{'' if fewest == 1 else 's'} are needed and {problem.max_handovers} allowed",
-        fix={"action": "raise_limit", "limit": "max_handovers", "to": fewest},
+        remedies=((RaiseLimit("max_handovers", fewest),),),
     )
 
 
@@ -159,13 +161,7 @@ def _broken_chain(problem: Problem, sources: Indices, targets: Indices, labels: 
     # One station raised a long way, or several a little: what asks for the fewest metres in all.
     if single is not None and (not raises or single[1] <= sum(by for _, by in raises)):
         raises = [single]
-    fix: dict[str, object] | None = None
-    remedy = ""
-    if raises:
-        fix = {"action": "raise_range", "station": raises[0][0], "by_m": raises[0][1]}
-        if len(raises) > 1:
-            fix["also"] = [{"action": "raise_range", "station": k, "by_m": by} for k, by in raises[1:]]
-        remedy = "; raise the range of " + " and ".join(f"station {k} by {by:.3f} m" for k, by in raises)
+    remedy = "; raise the range of " + " and ".join(f"station {k} by {by:.3f} m" for k, by in raises) if raises else ""
     return Infeasibility(
         "broken_chain",
         f"no chain of ranges links start and destination: in the best one the ranges of stations {first} and {second} "
@@ -173,7 +169,7 @@ def _broken_chain(problem: Problem, sources: Indices, targets: Indices, labels: 
         (first, second),
         gap,
         _point(overlap_point_m(problem, first, second)),
-        fix,
+        (tuple(RaiseRange(station, by) for station, by in raises),) if raises else (),
     )
 
 

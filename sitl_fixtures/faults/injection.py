@@ -32,7 +32,9 @@ def parse(specification: str, vehicle: FaultyVehicle) -> Acting:
     match = SPECIFICATION.match(specification)
     if match is None:
         raise ConfigurationError("--fault", specification, grammar, "see --list-faults")
-    fault = FAULTS.get(match["name"])
+    # What scripts call it since the first release.
+    name = re.sub(r"^stranger-", "foreign-station-", match["name"])
+    fault = FAULTS.get(name)
     if fault is None:
         close = [name for name in FAULTS if name.split("-")[0] == match["name"].split("-")[0]]
         raise ConfigurationError("--fault", specification, grammar, f"did you mean {', '.join(close) or 'another'}?")

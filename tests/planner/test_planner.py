@@ -13,9 +13,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner import Infeasibility, InfeasibleError, Planner, Problem, Solution, certify
+from planner.infeasibility.application import remedied
 from planner.infeasibility.diagnosis import diagnose
+from planner.remedy import (
+    AddStation,
+    Change,
+    LowerElevation,
+    LowerElevations,
+    Move,
+    RaiseAllRanges,
+    RaiseLimit,
+    RaiseRange,
+    Remedy,
+    SetAltitude,
+    WidenBand,
+)
+from tests.support.missions.problems import digest, make_problem, paper_problem
 from tests.support.paths import ROOT
-from tests.support.planner_missions import digest, make_problem, paper_problem
 
 DEFAULTS = {"margin_m": 25.0, "min_overlap_s": 5.0, "min_tenure_s": 10.0}
 
@@ -109,7 +123,7 @@ def test_same_problem_same_plan() -> None:
 def test_same_plan_in_another_process() -> None:
     code = (
         "from planner import Planner;"
-        "from tests.support.planner_missions import digest, paper_problem;"
+        "from tests.support.missions.problems import digest, paper_problem;"
         "print(digest(Planner().plan(paper_problem('M30_03'))))"
     )
     runs = {
@@ -281,54 +295,80 @@ def why(problem: Problem) -> Infeasibility:
     return raised.value.infeasibility
 
 
-def remedied(problem: Problem, fix: dict[str, object]) -> Problem:
-    """The problem after a remedy, by the words of the remedy."""
+def changed(problem: Problem, change: Change) -> Problem:
+    """The problem after a change, by the words of the change."""
     limits = problem.limits
-    action = fix["action"]
-    if action == "raise_range":
-        ranges = problem.ranges_m.copy()
-        for step in [fix, *fix.get("also", [])]:  # type: ignore[misc]
-            ranges[step["station"]] += step["by_m"]  # type: ignore[index]
-        return replace(problem, ranges_m=ranges)
-    if action == "raise_all_ranges":
-        return replace(problem, ranges_m=problem.ranges_m + float(fix["by_m"]))  # type: ignore[arg-type]
-    if action == "widen_band":
-        band = {name: float(fix[name]) for name in ("min_alt_m", "max_alt_m") if name in fix}  # type: ignore[arg-type]
-        return replace(problem, limits=replace(limits, **band))
-    if action == "raise_limit":
-        name = str(fix["limit"])
-        if name == "max_handovers":
-            return replace(problem, max_handovers=fix["to"])  # type: ignore[arg-type]
-        return replace(problem, limits=replace(limits, **{name: fix["to"]}))  # type: ignore[arg-type]
-    if action in ("move", "set_altitude"):
-        name = f"{fix['of']}_m"
-        point = np.array(fix["position_m"]) if action == "move" else getattr(problem, name).copy()
-        if action == "set_altitude":
-            point[2] = fix["alt_m"]
-        moved: dict[str, Any] = {name: point}
-        return replace(problem, **moved)
-    if action in ("lower_elevation", "lower_elevations"):
-        assert problem.min_elevation_deg is not None
-        angles = problem.min_elevation_deg.copy()
-        if action == "lower_elevation":
-            angles[fix["station"]] = fix["to_deg"]  # type: ignore[index]
-        else:
-            angles = np.where(angles < 0.0, angles, np.maximum(angles - float(fix["by_deg"]), 0.0))  # type: ignore[arg-type]
-        return replace(problem, min_elevation_deg=angles)
-    assert action == "add_station", action
-    return replace(
-        problem,
-        station_positions_m=np.vstack([problem.station_positions_m, fix["position_m"]]),  # type: ignore[arg-type]
-        ranges_m=np.append(problem.ranges_m, float(fix["range_m"])),  # type: ignore[arg-type]
-        min_elevation_deg=None if problem.min_elevation_deg is None else np.append(problem.min_elevation_deg, -90.0),
-    )
+    match change:
+        case RaiseRange():
+            ranges = problem.ranges_m.copy()
+            ranges[change.station] += change.by_m
+            return replace(problem, ranges_m=ranges)
+        case RaiseAllRanges():
+            return replace(problem, ranges_m=problem.ranges_m + change.by_m)
+        case WidenBand():
+            low = limits.min_alt_m if change.min_alt_m is None else change.min_alt_m
+            high = limits.max_alt_m if change.max_alt_m is None else change.max_alt_m
+            return replace(problem, limits=replace(limits, min_alt_m=low, max_alt_m=high))
+        case RaiseLimit():
+            if change.limit == "max_handovers":
+                return replace(problem, max_handovers=int(change.to))
+            raised: dict[str, Any] = {change.limit: change.to}
+            return replace(problem, limits=replace(limits, **raised))
+        case Move() | SetAltitude():
+            name = f"{change.of}_m"
+            point = np.array(change.position_m) if isinstance(change, Move) else getattr(problem, name).copy()
+            if isinstance(change, SetAltitude):
+                point[2] = change.alt_m
+            moved: dict[str, Any] = {name: point}
+            return replace(problem, **moved)
+        case LowerElevation() | LowerElevations():
+            assert problem.min_elevation_deg is not None
+            angles = problem.min_elevation_deg.copy()
+            if isinstance(change, LowerElevation):
+                angles[change.station] = change.to_deg
+            else:
+                angles = np.where(angles < 0.0, angles, np.maximum(angles - change.by_deg, 0.0))
+            return replace(problem, min_elevation_deg=angles)
+        case AddStation():
+            masks = problem.min_elevation_deg
+            return replace(
+                problem,
+                station_positions_m=np.vstack([problem.station_positions_m, change.position_m]),
+                ranges_m=np.append(problem.ranges_m, change.range_m),
+                min_elevation_deg=None if masks is None else np.append(masks, -90.0),
+            )
+    raise AssertionError(change)
+
+
+def cured(problem: Problem, remedy: Remedy) -> Problem:
+    """The problem after every change of a remedy; `planner.infeasibility.remedied` makes the same of it."""
+    for change in remedy:
+        problem = changed(problem, change)
+    return problem
 
 
 def assert_remedies_work(problem: Problem, infeasibility: Infeasibility) -> None:
-    assert infeasibility.fix is not None
-    for fix in [infeasibility.fix, *infeasibility.fix.get("alternatives", [])]:  # type: ignore[misc]
-        cured = remedied(problem, fix)
-        assert_sound(cured, Planner().plan(cured, method="fast"))
+    assert infeasibility.remedies
+    for remedy in infeasibility.remedies:
+        mended = cured(problem, remedy)
+        assert_same(mended, remedied(problem, remedy))
+        assert_sound(mended, Planner().plan(mended, method="fast"))
+
+
+def assert_same(one: Problem, other: Problem) -> None:
+    """But for bounds on ranges, which go with the ranges they bounded."""
+    for name, value in vars(replace(one, bound_ranges_m=None)).items():
+        np.testing.assert_array_equal(value, getattr(replace(other, bound_ranges_m=None), name), name)
+
+
+def first_of(found: Infeasibility) -> Any:
+    """The first change of the first remedy."""
+    return found.remedies[0][0]
+
+
+def alternatives(found: Infeasibility) -> dict[type, Any]:
+    """The other remedies' first changes, by their kind."""
+    return {type(remedy[0]): remedy[0] for remedy in found.remedies[1:]}
 
 
 def test_a_gap_is_measured_and_closed() -> None:
@@ -338,11 +378,9 @@ def test_a_gap_is_measured_and_closed() -> None:
     assert (found.reason, found.stations) == ("broken_chain", (0, 1))
     assert found.gap_m == pytest.approx(100.0)
     assert found.position_m == pytest.approx((1050.0, 0.0, 100.0))
-    assert found.fix is not None
-    assert found.fix["by_m"] == pytest.approx(100.0, abs=0.01)
-    alternatives = {fix["action"]: fix for fix in found.fix["alternatives"]}  # type: ignore[attr-defined]
-    assert alternatives["raise_all_ranges"]["by_m"] == pytest.approx(50.0, abs=0.01)
-    assert alternatives["add_station"]["range_m"] == pytest.approx(50.0, abs=0.01)
+    assert first_of(found).by_m == pytest.approx(100.0, abs=0.01)
+    assert alternatives(found)[RaiseAllRanges].by_m == pytest.approx(50.0, abs=0.01)
+    assert alternatives(found)[AddStation].range_m == pytest.approx(50.0, abs=0.01)
     assert_remedies_work(problem, found)
 
 
@@ -352,9 +390,7 @@ def test_a_lower_floor_closes_a_gap() -> None:
     stations = [[0, 0, 0, 1000], [1980, 0, 0, 1000]]
     problem = make_problem([0, 0, 150], [1980, 0, 150], stations, band=(150.0, 200.0))
     found = why(problem)
-    assert found.fix is not None
-    alternatives = {fix["action"]: fix for fix in found.fix["alternatives"]}  # type: ignore[attr-defined]
-    assert alternatives["widen_band"]["min_alt_m"] == pytest.approx(np.sqrt(1000.0**2 - 990.0**2), abs=0.1)
+    assert alternatives(found)[WidenBand].min_alt_m == pytest.approx(np.sqrt(1000.0**2 - 990.0**2), abs=0.1)
     assert_remedies_work(problem, found)
 
 
@@ -376,8 +412,7 @@ def test_two_faults_are_both_told() -> None:
     found = why(problem)
     assert found.reason == "destination_uncovered"
     assert "besides" in found.message
-    assert found.fix is not None
-    assert {step["station"] for step in [found.fix, *found.fix["also"]]} == {0, 1}  # type: ignore[misc]
+    assert {change.station for change in found.remedies[0] if isinstance(change, RaiseRange)} == {0, 1}
     assert_remedies_work(problem, found)
 
 
@@ -391,10 +426,7 @@ def test_remedies_of_the_missions_a_margin_breaks(name: str) -> None:
 def test_an_end_outside_the_band() -> None:
     found = why(make_problem([0, 0, 90], [500, 0, 100], [[0, 0, 0, 1000]]))
     assert found.reason == "start_altitude"
-    assert found.fix is not None
-    lower = {"action": "widen_band", "min_alt_m": 90.0, "by_m": 10.0}
-    first = {"action": "set_altitude", "of": "start", "alt_m": 100.0, "by_m": 10.0}
-    assert found.fix == {**first, "alternatives": [lower]}
+    assert found.remedies == ((SetAltitude("start", 100.0, 10.0),), (WidenBand(10.0, min_alt_m=90.0),))
 
 
 def test_an_end_seen_too_low() -> None:
@@ -403,11 +435,9 @@ def test_an_end_seen_too_low() -> None:
     problem = make_problem([900, 0, 100], [0, 0, 100], [[0, 0, 0, 1000]], band=(100.0, 100.0), **angles)
     found = why(problem)
     assert (found.reason, found.stations, found.gap_m) == ("start_uncovered", (0,), 0.0)
-    assert found.fix is not None
-    assert found.fix["to_deg"] == pytest.approx(np.degrees(np.arctan2(100.0, 900.0)))
-    alternatives = {fix["action"]: fix for fix in found.fix["alternatives"]}  # type: ignore[attr-defined]
-    assert alternatives["move"]["by_m"] == pytest.approx(900.0 - 100.0 / np.tan(np.radians(20.0)), abs=1e-3)
-    assert alternatives["lower_elevations"]["by_deg"] == pytest.approx(20.0 - found.fix["to_deg"], abs=1e-4)  # type: ignore[operator]
+    assert first_of(found).to_deg == pytest.approx(np.degrees(np.arctan2(100.0, 900.0)))
+    assert alternatives(found)[Move].by_m == pytest.approx(900.0 - 100.0 / np.tan(np.radians(20.0)), abs=1e-3)
+    assert alternatives(found)[LowerElevations].by_deg == pytest.approx(20.0 - first_of(found).to_deg, abs=1e-4)
     assert_remedies_work(problem, found)
 
 
@@ -416,11 +446,9 @@ def test_fewer_handovers_by_longer_ranges() -> None:
     stations = [[0, 0, 100, 1000], [1900, 0, 100, 1000], [3800, 0, 100, 1000]]
     problem = make_problem([0, 0, 100], [3800, 0, 100], stations, max_handovers=1)
     found = why(problem)
-    assert found.fix is not None
-    assert (found.fix["action"], found.fix["to"]) == ("raise_limit", 2)
-    alternatives = {fix["action"]: fix for fix in found.fix["alternatives"]}  # type: ignore[attr-defined]
-    assert alternatives["raise_all_ranges"]["by_m"] == pytest.approx(900.0, abs=0.01)
-    assert alternatives["raise_range"]["by_m"] == pytest.approx(900.0, abs=0.01)
+    assert first_of(found) == RaiseLimit("max_handovers", 2)
+    assert alternatives(found)[RaiseAllRanges].by_m == pytest.approx(900.0, abs=0.01)
+    assert alternatives(found)[RaiseRange].by_m == pytest.approx(900.0, abs=0.01)
     assert_remedies_work(problem, found)
 
 
@@ -431,17 +459,16 @@ def test_an_endurance_no_one_could_keep_is_known_at_once() -> None:
     found = why(problem)
     assert found.reason == "limits"
     assert "no trajectory takes less than 40.0 s" in found.message
-    assert found.fix == {"action": "raise_limit", "limit": "max_duration_s", "to": pytest.approx(40.0)}
+    assert found.remedies == ((RaiseLimit("max_duration_s", pytest.approx(40.0)),),)
 
 
 def test_an_endurance_just_missed_names_the_time_found() -> None:
     problem = make_problem([0, 0, 100], [1500, 0, 100], [[0, 0, 0, 2000]], limits={"max_duration_s": 40.01})
     found = why(problem)
     assert "the fastest plan found takes" in found.message
-    assert found.fix is not None
-    cured = remedied(problem, found.fix)
-    solution = Planner().plan(cured)
-    assert_sound(cured, solution)
+    mended = cured(problem, found.remedies[0])
+    solution = Planner().plan(mended)
+    assert_sound(mended, solution)
     assert solution.certificate.worst["duration_s"] == 0.0
 
 
@@ -449,8 +476,7 @@ def test_wind_above_the_airspeed() -> None:
     limits = {"max_airspeed_m_s": 20.0, "wind_m_s": (0.0, 25.0)}
     found = why(make_problem([0, 0, 100], [1500, 0, 100], [[0, 0, 0, 2000]], limits=limits))
     assert found.reason == "limits"
-    assert found.fix is not None
-    assert found.fix["limit"] == "max_airspeed_m_s"
+    assert found.limit == "max_airspeed_m_s"
 
 
 def test_too_few_handovers_allowed() -> None:

@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 
 from gcs.flight import FlightState
-from link.handover.handover import borders
+from link.handover.handover import handover_windows
 from sitl_fixtures.faults import FaultSet
 from tests.scorecard.soak import counted
-from tests.support.flight_plans import relay_plan
-from tests.support.forks import in_fork
-from tests.support.handover_bench import STATIONS, Bench
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.forks import in_fork
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.link.handover_bench import STATIONS, Bench
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
@@ -32,12 +32,14 @@ BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
 
 def relay_to_and_fro(count: int, seed: int) -> tuple[int, int, int]:
-    """Fly over two borders to and fro, links and obedience failing now and then; (handovers, failed tries, ticks).
+    """Fly over two handover windows to and fro, links and obedience failing now and then.
+
+    (handovers, failed tries, ticks).
 
     Asserts in every tick that exactly one station sent a setpoint: the one in control.
     """
     draw, bench = random.Random(seed), Bench()
-    first, second = borders(relay_plan())
+    first, second = handover_windows(relay_plan())
     done = failed = ticks = 0
     backwards = False
     bench.plan_s = first.time_s
@@ -50,22 +52,22 @@ def relay_to_and_fro(count: int, seed: int) -> tuple[int, int, int]:
             if draw.random() < 0.6:
                 bench.obeys.discard(draw.choice(STATIONS))
         if draw.random() < 0.02:
-            bench.relay.take_over(bench.plan_s, "drawn")
-        leg = bench.relay.leg
-        if not bench.relay.moving and (draw.random() < 0.05 or leg == (0 if backwards else 2)):
+            bench.chain.take_over(bench.plan_s, "drawn")
+        leg = bench.chain.leg
+        if not bench.chain.moving and (draw.random() < 0.05 or leg == (0 if backwards else 2)):
             backwards = not backwards
-        border = bench.relay.ahead(backwards=backwards)
-        if border is not None:
-            # Near the border, on either side of it, inside what both stations cover.
-            bench.plan_s = border.time_s + draw.uniform(-2.0, 2.0)
-        told = len(bench.c.events)
+        window = bench.chain.ahead(backwards=backwards)
+        if window is not None:
+            # Near the window, on either side of it, inside what both stations cover.
+            bench.plan_s = window.time_s + draw.uniform(-2.0, 2.0)
+        told = len(bench.c.timeline.events)
         bench.tick(backwards=backwards)
         ticks += 1
-        assert bench.senders == [bench.c.gate.holder], f"tick {ticks}"
-        events = [e.data.get("event") for e in bench.c.events[told:]]
+        assert bench.senders == [bench.c.control.gate.holder], f"tick {ticks}"
+        events = [e.data.get("event") for e in bench.c.timeline.events[told:]]
         done += events.count("release")
         failed += events.count("timeout") + events.count("nak")
-        del bench.c.events[:]
+        del bench.c.timeline.events[:]
     assert first.index < second.index
     return done, failed, ticks
 
@@ -126,8 +128,8 @@ def near_the_handover(autopilot: str, before_s: float) -> VirtualFlight:
     """A flight ``before_s`` before its handover."""
     settings: dict[str, Any] = {"wait_for_station_s": 3.0, "hold_limit_s": 5.0, "lost_after_s": 20.0}
     one = VirtualFlight(relay_plan(2), autopilot, frugal=True, request=settings)
-    border_s = relay_plan(2).handovers[0].time_s
-    one.run(until=lambda: one.plan_s >= border_s - before_s, limit_s=200.0)
+    handover_s = relay_plan(2).handovers[0].time_s
+    one.run(until=lambda: one.plan_s >= handover_s - before_s, limit_s=200.0)
     assert one.core.state is FlightState.CRUISE
     return one
 
@@ -136,28 +138,28 @@ def cut(one: VirtualFlight, dead: str) -> str:
     """Cut a station's link now; how it ends: one owner whose link works, or the autopilot's own hold."""
     one.proxy.cuts.append((dead, one.now_s, 1e9))
     one.run_for(8.0)
-    ids = {one.core.context.system_ids[s]: s for s in one.stations}
+    ids = {one.core.context.control.system_ids[s]: s for s in one.stations}
     for accepted in one.accepted:
         assert accepted.holder_when_sent == accepted.station == ids[accepted.system_id]
-    relay, context = one.core.airborne.relay, one.core.context
-    assert not relay.moving
+    chain, context = one.core.airborne.chain, one.core.context
+    assert not chain.moving
     if one.core.state is FlightState.LAPSED:
         assert one.vehicle.autopilot.mode_name in ("HOLD", "GUIDED", "RTL")
         assert one.vehicle.body.speed_m_s < 20.0
         return "the autopilot's own hold"
-    assert context.gate.holder == context.plan.station_ids[relay.leg] != dead
+    assert context.control.gate.holder == context.plan.station_ids[chain.leg] != dead
     assert one.vehicle.autopilot.mode_name in ("OFFBOARD", "GUIDED")
     return "one owner"
 
 
 def sweep(autopilot: str, which: str, offsets_ms: Iterable[int]) -> list[str]:
     """Cut at each offset from the handover's planned time, each in a fork of one flight."""
-    border = relay_plan(2).handovers[0]
-    dead = border.from_station if which == "old" else border.to_station
+    planned = relay_plan(2).handovers[0]
+    dead = planned.from_station if which == "old" else planned.to_station
     one = near_the_handover(autopilot, 2.1)
     ends = []
     for offset_ms in offsets_ms:
-        one.run(until=lambda at_s=border.time_s + 1e-3 * offset_ms: at_s <= one.plan_s, limit_s=10.0)  # type: ignore[misc]
+        one.run(until=lambda at_s=planned.time_s + 1e-3 * offset_ms: at_s <= one.plan_s, limit_s=10.0)  # type: ignore[misc]
         # The plan's place moves tick by tick; the cut falls between two of them.
         within_s = (1e-3 * offset_ms) % 0.05
         ends.append(in_fork(lambda within_s=within_s: (one.run_for(within_s), cut(one, dead))[1]))  # type: ignore[misc]
@@ -246,12 +248,12 @@ def owners_confirmed(one: VirtualFlight, faults: tuple[str, ...], loss: float, s
                 confirmed += 1
                 station = str(event.data["to"])
                 obeyed |= {a.station for a in one.accepted[before:]}
-                in_control = control is not None and control.owner == one.core.context.system_ids[station]
+                in_control = control is not None and control.owner == one.core.context.control.system_ids[station]
                 false += not (station in obeyed if control is None else in_control)
             if event.data.get("state") == "released":
                 released_s = event.time_s
         told = len(one.events)
-    ids = {one.core.context.system_ids[s]: s for s in one.stations}
+    ids = {one.core.context.control.system_ids[s]: s for s in one.stations}
     assert all(a.holder_when_sent == a.station == ids[a.system_id] for a in one.accepted if not math.isnan(a.sent_s))
     return confirmed, false
 

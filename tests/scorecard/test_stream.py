@@ -20,14 +20,15 @@ import pytest
 from gcs.flight import FlightState
 from link.director.core import FlightCore
 from link.streamer.supervisor import start_flight
+from link.transport.gate import Sender
 from link.wire.codec import StationCodec
 from link.wire.signing import Signing, SigningKey
 from link.wire.signing_timestamps import SigningStore
 from tests.scorecard.soak import counted
-from tests.support.flight_plans import relay_plan
-from tests.support.flight_processes import Events, simulator
-from tests.support.stream_moments import SETPOINTS, at_moments, in_cruise, soak_moments
-from tests.support.virtual_flight import EPOCH_UNIX_S, Proxy, VirtualFlight
+from tests.support.flights.moments import SETPOINTS, at_moments, in_cruise, soak_moments
+from tests.support.flights.processes import Events, simulator
+from tests.support.flights.virtual import EPOCH_UNIX_S, Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 AUTOPILOTS = ("px4", "ardupilot")
 BOTH = pytest.mark.parametrize("autopilot", AUTOPILOTS)
@@ -49,11 +50,12 @@ def told_off_plan_m(one: VirtualFlight, frames: list[tuple[float, str, str | Non
     if message.get_type() == SETPOINTS[0]:
         lat_deg, lon_deg = 1e-7 * message.lat_int, 1e-7 * message.lon_int
     else:
-        assert context.origin is not None
-        lat_deg, lon_deg = context.profile.lat_lon_deg(context.origin, message.x, message.y)
-    assert context.launched_s is not None
+        assert context.vehicle.origin is not None
+        lat_deg, lon_deg = context.vehicle.profile.lat_lon_deg(context.vehicle.origin, message.x, message.y)
+    assert context.timeline.launched_s is not None
     return math.dist(
-        one.plan.plane.to_plane(lat_deg, lon_deg), one.plan.trajectory.evaluate(sent_s - context.launched_s)[:2]
+        one.plan.plane.to_plane(lat_deg, lon_deg),
+        one.plan.trajectory.evaluate(sent_s - context.timeline.launched_s)[:2],
     )
 
 
@@ -69,8 +71,8 @@ def stalled(autopilot: str, stalls: int, seed: int) -> tuple[float, float]:
         one.frozen = True
         one.run_for(draw.uniform(0.0, 0.45))
         one.frozen = False
-        before, frames = one.core.context.setpoints_sent, len(one.sent)
-        one.run(until=lambda before=before: one.core.context.setpoints_sent > before, limit_s=1.0)  # type: ignore[misc]
+        before, frames = one.core.context.control.setpoints_sent, len(one.sent)
+        one.run(until=lambda before=before: one.core.context.control.setpoints_sent > before, limit_s=1.0)  # type: ignore[misc]
         # The place sent is that of the newest tick due: behind the clock since T+0 by less than a tick.
         shift_s = one.core.announcer.shift_s
         assert shift_s is not None
@@ -125,8 +127,8 @@ def unattended(one: VirtualFlight, draw: random.Random) -> float:
     assert one.core.state is FlightState.HOLDING
     assert one.plan_s <= until_s
     # On time: it stands no later than the plan says it may be there, and the time its braking takes.
-    assert one.core.context.launched_s is not None
-    return standing_s - one.core.context.launched_s - until_s
+    assert one.core.context.timeline.launched_s is not None
+    return standing_s - one.core.context.timeline.launched_s - until_s
 
 
 @pytest.mark.slow
@@ -173,9 +175,9 @@ def heartbeats_after(one: VirtualFlight, draw: random.Random) -> int:
         if place == "tick":
             one.core.airborne.tick = fail  # type: ignore[method-assign]
         elif place == "send":
-            one.core.context.gate.send = fail  # type: ignore[method-assign, assignment]
+            one.core.context.control.gate.send = fail  # type: ignore[method-assign, assignment]
         else:
-            one.core._heartbeats = fail  # type: ignore[method-assign]
+            one.core.links.heartbeats = fail  # type: ignore[method-assign]
         with pytest.raises(ZeroDivisionError):
             one.run_for(2.0)
         # The process ends with the exception: nothing it had in hand goes out.
@@ -324,9 +326,11 @@ def handovers_under_jumps(
     context = one.core.context
     for station in one.stations:
         # What comes from the simulated vehicle is unsigned; what goes to it is stamped.
-        signing = Signing(key, context.system_ids[station], SigningStore.in_memory(), allow_unsigned=range(70_000))
-        one.core.codecs[station] = codec = StationCodec(context.system_ids[station], signing=signing)
-        context.gate._encoders[station] = codec.encode
+        signing = Signing(
+            key, context.control.system_ids[station], SigningStore.in_memory(), allow_unsigned=range(70_000)
+        )
+        one.core.codecs[station] = codec = StationCodec(context.control.system_ids[station], signing=signing)
+        context.control.gate._encoders[Sender(station)] = codec.encode
     while one.core.state is not FlightState.ARRIVED and one.now_s < 200.0:
         one.run_for(0.1)
         if jumps is not None:

@@ -22,9 +22,9 @@ from link.session.request import FlightRequest
 from link.setpoints.sampler import SetpointSampler
 from link.wire.codec import StationCodec
 from tests.scorecard.soak import counted
-from tests.support.flight_plans import relay_plan
-from tests.support.stream_moments import SETPOINTS, at_moments, in_cruise, soak_moments
-from tests.support.virtual_flight import VirtualFlight
+from tests.support.flights.moments import SETPOINTS, at_moments, in_cruise, soak_moments
+from tests.support.flights.virtual import VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
@@ -55,10 +55,18 @@ def strangers_message(draw: random.Random) -> Any:
 
 def state_of(one: VirtualFlight) -> tuple[Any, ...]:
     """What strangers must not be able to move."""
-    c, m = one.core.context, one.core.context.monitor
+    c, m = one.core.context, one.core.context.vehicle.monitor
     links = tuple((link.heard_s, link.proven_s, link.origin) for link in m.links.values())
     known = (m.heartbeat, m.position, m.target_s, m.landed_state, m.control_main, m.control_s, m.reboots, m.version)
-    return (*known, links, c.state, c.origin, c.gate.fence, one.core.parameters, len(m.take_texts()))
+    return (
+        *known,
+        links,
+        c.timeline.state,
+        c.vehicle.origin,
+        c.control.gate.in_force,
+        one.core.parameters,
+        len(m.take_texts()),
+    )
 
 
 def acted_on(autopilot: str, count: int, seed: int) -> int:

@@ -83,6 +83,7 @@ APART = (("sitl_fixtures.px4", "sitl_fixtures.ardupilot"),)
 PUBLIC_MODULES = (
     "planner.arrays",
     "planner.bezier",
+    "planner.remedy",
     "gcs.document_reader",
     "gcs.errors",
     "gcs.flight",
@@ -101,7 +102,7 @@ SURFACE = {
     "planner.corridor": "build_corridor polyline_length_m shortest_polyline",
     "planner.coverage": "ElevationMask Stations adjacent_pairs coverage_windows disc_radius_m",
     "planner.experiments": "Evaluation enumerate_plans plan_by_rival plan_paper_cvxpy",
-    "planner.infeasibility": "diagnose diagnose_ranges explain",
+    "planner.infeasibility": "diagnose diagnose_ranges infeasibility_of remedied",
     "planner.joint": "Effort plan_joint",
     "planner.paper": "Iteration plan_paper shortest_sequence",
     "planner.routing": "candidate_routes lower_bound",
@@ -109,20 +110,20 @@ SURFACE = {
     "gcs.geodesy": "WGS84_A_M WGS84_E2 Plane",
     "gcs.jobs": "PlanningPool",
     "gcs.layout": "lay_out",
-    "gcs.mission": "Mission MissionOptions parse_mission_json parse_option",
-    "gcs.plan": "OwnReturn Place Plan ReturnRules own_returns",
-    "gcs.planning": "ReplanOrder default_planner plan_mission product_version with_costs",
+    "gcs.mission": "Mission MissionOptions parse_mission_json parse_option read_mission with_options write_mission",
+    "gcs.plan": "FailsafeReturn Place Plan ReturnRules failsafe_returns read_plan",
+    "gcs.planning": "ReplanOrder default_planner plan_mission product_version recertify replan with_costs",
     "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store",
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
-    "link.director": "judge_next",
-    "link.files": "FORMATS Format report_flight setpoint_file",
+    "link.director": "PREFLIGHT_VALID_S judge_next",
+    "link.files": "FORMATS Format read_tlog report_flight setpoint_file",
     "link.microservices": "Parameter",
     "link.preflight": "Check Identity Level judge_failsafes judge_identity worst worst_first",
     "link.session": "FlightRequest",
-    "link.setpoints": "RATE_LIMITS_HZ SetpointStream",
+    "link.setpoints": "RATE_LIMITS_HZ Setpoint SetpointSampler",
     "link.streamer": "FlightResult RunningFlight attach raise_priority start_flight",
-    "link.transport": "LinkLocks LinkUrl parse_url",
+    "link.transport": "LinkLocks LinkUrl Sender parse_url",
     "link.wire": "Signing SigningKey SigningStore StationCodec",
     "api.bench.paper": (
         "ALLOCATIONS TABLE_3 Results ResultsError Settings cells_3 draw_all matplotlib_available mean "
@@ -136,20 +137,29 @@ SURFACE = {
     "api.processes": "QUICK_MISSION Child ChildError Children home_under python_module start_simulator",
     "api.rest": "create_app",
     "api.rest.schemas": (
-        "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE FlightDetail "
-        "CommandBody FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
-        "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody "
-        "ProblemDetails RegisteredLink RegisteredStation RegisteredVehicle RegistryPage ReplanCommand "
-        "ReplanProposal ReplanRequest StationEntry Status VehicleEntry VersionList"
+        "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE CommandBody "
+        "FlightDetail FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
+        "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody ProblemDetails RegisteredLink "
+        "RegisteredStation RegisteredVehicle RegistryPage ReplanCommand ReplanProposal ReplanRequest StationEntry "
+        "Status VehicleEntry VersionList"
     ),
     "api.service": (
         "Changes FlightService FlightStatus Metrics Proposal ReplanError ReplanFailedError ReplanInfeasibleError "
         "ReplanStateError Replanning ServiceError Services StillStoppingError configure_logging outer_state"
     ),
+    "sitl_fixtures.ardupilot": "ArduCopter",
+    "sitl_fixtures.autopilot": "AutopilotModel",
+    "sitl_fixtures.faults": "FAULTS FaultSet listing",
+    "sitl_fixtures.mavlink": "FENCE MISSION RALLY Item",
+    "sitl_fixtures.process": "Address Impairment LossyChannel run_process",
+    "sitl_fixtures.px4": "Px4",
+    "sitl_fixtures.vehicle": "SimulatedAutopilot SimulatorConfig",
 }
 """What each face shows, by name: a name more or less is a decision, taken here. The others show nothing."""
 
-LONG_FUNCTIONS: dict[str, str] = {}
+LONG_FUNCTIONS: dict[str, str] = {
+    "gcs/store/migrations/versions/m0001_first.py:upgrade": "the tables of the first version, one after another",
+}
 """Functions of more than sixty lines, each with its reason: tables, and wiring told from beginning to end."""
 
 FULL_FOLDERS: dict[str, str] = {}

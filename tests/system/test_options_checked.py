@@ -16,9 +16,9 @@ from gcs.plan import read_plan
 from gcs.plan.model import Plan, hash_of
 from gcs.planning.mission_planning import plan_mission
 from gcs.planning.option_costs import with_costs
-from gcs.remedies.actions import apply_fix
 from tests.support.checker import check_plan, flight_energy_s
-from tests.support.option_missions import BASE, changed, on_earth, random_mission
+from tests.support.missions.with_options import BASE, changed, on_earth, random_mission
+from tests.support.remedies import apply
 
 Document = dict[str, Any]
 
@@ -187,7 +187,7 @@ def flown_or_explained(seed: int) -> None:
         assert error.fix is not None, error.message
         assert error.fix_text.endswith("."), error.fix_text
         json.dumps(error.to_document(), allow_nan=False)
-        document = write_mission(apply_fix(read_mission(document), error.fix))
+        document = apply(document, error.fix)
     raise AssertionError(f"seed {seed}: three fixes were not enough, {outcome(document)}")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from api.cli.console import Progress
+from link.transport import Sender
 
 if TYPE_CHECKING:
     from gcs.flight import FlightEvent
@@ -64,7 +65,7 @@ class FlightView:
 
     def where(self, t_plus_s: float | None, state: str, data: Any) -> str:
         """The flight now, in one line; who is in control comes first."""
-        station = str(data.get("station") or "nobody").rstrip("!")
+        station = Sender.from_text(str(data.get("station") or "nobody")).station_id
         parts = [f"{station} in control"]
         if t_plus_s is None:
             parts.append(state_text(state))

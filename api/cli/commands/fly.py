@@ -102,7 +102,7 @@ def run_fly(given: FlyOptions) -> int:
         set_parameters=given.set_parameters,
         handover_way=given.handover_way,
         rally=given.rally,
-        fence=given.fence,
+        lay_geofence=given.fence,
         signing_key=given.signing_key,
         allow_unsigned=given.allow_unsigned,
     )

@@ -24,8 +24,8 @@ from gcs.plan import read_plan
 from link.errors import SupervisorError
 from link.session.request import HANDOVER_WAYS
 from link.streamer.supervisor import attach
-from tests.support.cli_process import Outcome, Server
-from tests.support.rest_client import assert_problem, launch, wait_for, wait_for_planning
+from tests.support.processes.cli_process import Outcome, Server
+from tests.support.processes.rest_client import assert_problem, launch, wait_for, wait_for_planning
 
 SPEEDUP = 10.0
 

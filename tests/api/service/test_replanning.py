@@ -15,11 +15,11 @@ from api.service.flights import FlightService
 from api.service.replanning import Replanning
 from gcs.errors import MissionInfeasible, NotFoundError
 from gcs.plan.model import Plan
-from gcs.planning.replan import replan
+from gcs.planning.replanning import replan
 from link.director.plan_exchange import judge_next
 from link.preflight.check import Level
 from link.session.request import FlightRequest
-from tests.support.flight_plans import relay_plan, wide_plan
+from tests.support.plans.planned import relay_plan, wide_plan
 
 OLD = wide_plan()
 

@@ -10,16 +10,17 @@ from typing import Any
 
 import pytest
 
-from gcs.errors import MissionInfeasible
+from gcs.errors import Finding, MissionInfeasible
 from gcs.layout.planning_problem import lay_out
 from gcs.mission import read_mission
 from gcs.mission.model import Mission
 from gcs.planning.mission_planning import plan_mission
 from planner.infeasibility.diagnosis import diagnose
 from tests.support.checker import check_plan
-from tests.support.infeasible_missions import INFEASIBLE, local, wgs84
-from tests.support.malformed_missions import GOOD
-from tests.support.option_missions import BASE, changed
+from tests.support.missions.infeasible import INFEASIBLE, local, wgs84
+from tests.support.missions.malformed import GOOD
+from tests.support.missions.with_options import BASE, changed
+from tests.support.remedies import apply, remedies
 
 NAMES = [case[0] for case in INFEASIBLE]
 
@@ -45,68 +46,6 @@ def test_infeasible_missions_are_explained(document: dict[str, Any], reason: str
     if error.where is not None:
         assert {"lat_deg", "lon_deg", "alt_amsl_m"} <= set(error.where)
         assert ("east_m" in error.where) == ("origin" in document)
-
-
-def remedies(fix: dict[str, Any] | None) -> list[dict[str, Any]]:
-    """A fix and its alternatives, each on its own."""
-    if fix is None:
-        return []
-    alone = {key: value for key, value in fix.items() if key != "alternatives"}
-    return [alone, *fix.get("alternatives", [])]
-
-
-def apply(document: dict[str, Any], fix: dict[str, Any]) -> dict[str, Any]:
-    """The mission with one remedy, and what it names beside it, followed to the letter."""
-    result = copy.deepcopy(document)
-    for step in (fix, *fix.get("also", [])):
-        result = apply_step(result, step)
-    return result
-
-
-def apply_step(result: dict[str, Any], fix: dict[str, Any]) -> dict[str, Any]:
-    options, limits = result.setdefault("options", {}), result["limits"]
-    stations = {s["id"]: s for s in result["stations"]}
-    keys = ("east_m", "north_m", "up_m") if "origin" in result else ("lat_deg", "lon_deg", "alt_amsl_m")
-    match fix["action"]:
-        case "raise_range":
-            stations[fix["station"]]["range_m"] += fix["by_m"]
-        case "raise_all_ranges":
-            for station in result["stations"]:
-                station["range_m"] += fix["by_m"]
-        case "lower_margin":
-            options["range_margin_m"] = fix["range_margin_m"]
-        case "lower_option":
-            options[fix["option"]] = fix["to"]
-        case "lower_elevation":
-            stations[fix["station"]]["min_elevation_deg"] = fix["to_deg"]
-        case "lower_elevations":
-            for station in result["stations"]:
-                angle = station.get("min_elevation_deg", 0.0) - fix["by_deg"]
-                station["min_elevation_deg"] = angle if angle > 0.0 else None
-        case "widen_band":
-            limits |= {key: value for key, value in fix.items() if key.endswith("_alt_amsl_m")}
-        case "set_altitude":
-            result[fix["of"]][keys[2]] = fix["alt_amsl_m"] - result.get("origin", {}).get("alt_amsl_m", 0.0)
-        case "move":
-            result[fix["of"]] = {key: fix["position"][key] for key in keys}
-        case "add_station":
-            place = {key: fix["position"][key] for key in keys}
-            result["stations"].append({"id": "added", "range_m": fix["range_m"], **place})
-        case "include_station":
-            options["excluded_stations"] = [s for s in options["excluded_stations"] if s != fix["station"]]
-        case "raise_limit" if fix["limit"] == "max_handovers":
-            options["max_handovers"] = fix["to"]
-        case "raise_limit" | "lower_limit":
-            limits[fix["limit"]] = fix["to"]
-        case "lower_wind":
-            limits["wind"] = {key: fix[key] for key in ("east_m_s", "north_m_s")}
-        case "lower_start_speed":
-            options["start_state"] = {key: fix[key] for key in ("velocity_m_s", "acceleration_m_s2")}
-        case "later_arrival" | "earlier_arrival":
-            options["arrival_s"] = fix["arrival_s"]
-        case action:
-            raise AssertionError(action)
-    return result
 
 
 def smaller(document: dict[str, Any], fix: dict[str, Any]) -> dict[str, Any] | None:
@@ -282,7 +221,7 @@ def possible(mission: Mission) -> bool:
         if diagnose(lay_out(mission).problem) is not None:
             return False
         return plan_mission(free, fast=True).mission_time_s <= min(allowed, arrival)
-    except MissionInfeasible:
+    except (Finding, MissionInfeasible):
         return False
 
 

@@ -23,7 +23,7 @@ from gcs.store.database import HEAD
 from gcs.store.missions import Idempotency
 from gcs.store.store import Store
 from gcs.store.tables import metadata
-from tests.support.malformed_missions import GOOD, GOOD_LOCAL
+from tests.support.missions.malformed import GOOD, GOOD_LOCAL
 from tests.support.paths import ROOT
 from tests.support.store_backends import Backend
 
@@ -473,7 +473,7 @@ def test_a_journal_waits_out_a_locked_database(backend: Backend, store: Store) -
 def test_what_was_acknowledged_survives_kill_9(backend: Backend, url: str, kill_after: int) -> None:
     """A writer is killed in the middle of its work: every commit it told of is there, and nothing is torn."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.support.store_writer", url], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "tests.support.processes.store_writer", url], cwd=ROOT, stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     told = [process.stdout.readline().split() for _ in range(kill_after)]

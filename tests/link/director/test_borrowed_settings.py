@@ -9,9 +9,9 @@ import pytest
 
 from gcs.flight import FlightState
 from sitl_fixtures.mavlink import FENCE, RALLY, Item
-from tests.support.flight_plans import relay_plan
-from tests.support.ground_flight import FIELDS, GROUND_M, checks, on_ground, safe_plan
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.on_ground import FIELDS, GROUND_M, checks, on_ground, safe_plan
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 OLD = Item(5100, 3, (0.0, 0.0, 0.0, 0.0), 529_505_000, 47_905_000, 12.0)
@@ -201,7 +201,7 @@ def square(half_deg: float, command: int = 5001) -> tuple[Item, ...]:
 
 @BOTH
 def test_a_fence_on_request_holds_path_home_and_rally_points_and_goes_again(autopilot: str) -> None:
-    one = on_ground(autopilot, request={"fence": True}, proxy=Proxy(seed=2, **BAD))
+    one = on_ground(autopilot, request={"lay_geofence": True}, proxy=Proxy(seed=2, **BAD))
     assert one.core.state is FlightState.READY
     corners = held(one, FENCE)
     assert len(corners) == 16

@@ -12,9 +12,9 @@ import pytest
 
 from gcs.flight import FlightState, OperatorCommand, TransitionError
 from gcs.mission.model import LocalPosition
-from link.session.context import plain
-from tests.support.flight_plans import relay_plan
-from tests.support.virtual_flight import Proxy, Truth, VirtualFlight
+from link.session.timeline import plain
+from tests.support.flights.virtual import Proxy, Truth, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 HOLD = {"px4": "HOLD", "ardupilot": "GUIDED"}
@@ -253,7 +253,7 @@ def test_hold_stops_on_the_path_and_resume_goes_on(autopilot: str) -> None:
 @BOTH
 def test_abort_goes_back_along_the_path_handing_over_backwards_and_lands_at_the_start(autopilot: str) -> None:
     one = in_cruise(autopilot, 25.0)
-    assert one.core.airborne.relay.leg == 1
+    assert one.core.airborne.chain.leg == 1
     one.core.command("abort", by="pilot")
     assert one.run(limit_s=300.0) is FlightState.CONTINGENCY
     assert one.said("handover", state="released", forward=False)
@@ -487,10 +487,10 @@ def test_the_lead_follows_the_link_and_steps_with_the_station() -> None:
     proxy = Proxy(seed=1, latency_s=0.05, later_s={"s2": 0.15})
     one = VirtualFlight(relay_plan(2), "px4", proxy=proxy, frugal=True, truth_every_s=0.1)
     one.run(until=lambda: one.plan_s >= 10.0, limit_s=100.0)
-    assert one.core.airborne.lead.seconds == pytest.approx(0.05, abs=0.02)
-    one.run(until=lambda: one.core.context.gate.holder == "s2", limit_s=60.0)
+    assert one.core.airborne.latency.ahead_s == pytest.approx(0.05, abs=0.02)
+    one.run(until=lambda: one.core.context.control.gate.holder == "s2", limit_s=60.0)
     one.run_for(0.1)
-    assert one.core.airborne.lead.seconds == pytest.approx(0.2, abs=0.02)
+    assert one.core.airborne.latency.ahead_s == pytest.approx(0.2, abs=0.02)
     handover_s = one.now_s
     one.run_for(4.0)
     around = [off for off, t in zip(one.behind_m(), _cruise(one), strict=True) if abs(t.time_s - handover_s) < 3.0]
@@ -534,10 +534,10 @@ def test_a_vehicle_out_of_range_is_told_and_the_neighbour_that_has_it_takes_over
     """By where it says it is, while the plan has it well inside: 450 m from the first station, which reaches 400 m."""
     one = in_cruise("px4", 12.0)
     air, context = one.core.airborne, one.core.context
-    position = context.monitor.position
+    position = context.vehicle.monitor.position
     assert position is not None
     assert not air.range.left
-    context.monitor.position = replace(position, boot_s=position.boot_s + 0.01, lon_deg=4.79 + 450.0 / 67_200.0)
+    context.vehicle.monitor.position = replace(position, boot_s=position.boot_s + 0.01, lon_deg=4.79 + 450.0 / 67_200.0)
     air.range.update()
     assert air.range.margin_m == pytest.approx(-52.0, abs=10.0)
     one.run_for(0.2)

@@ -13,10 +13,10 @@ from gcs.flight import FlightState, TransitionError
 from gcs.mission import read_mission
 from gcs.mission.model import LocalPosition
 from gcs.plan.model import Plan
-from gcs.planning.replan import Replanned, replan
+from gcs.planning.replanning import Replanned, replan
 from link.setpoints.setpoint import Setpoint
-from tests.support.flight_plans import FIRST_JOIN_S, relay_plan, wide_plan
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import FIRST_JOIN_S, relay_plan, wide_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 TICK_S = 0.05
@@ -36,13 +36,13 @@ def fly_to(one: VirtualFlight, plan_s: float) -> VirtualFlight:
 def recorded(one: VirtualFlight) -> list[tuple[float, Setpoint]]:
     """Every setpoint from now on, as it is sent."""
     context, sent = one.core.context, []
-    send: Callable[[Setpoint], None] = context.send_setpoint
+    send: Callable[[Setpoint], None] = context.control.send_setpoint
 
     def keep(setpoint: Setpoint) -> None:
-        sent.append((context.now_s, setpoint))
+        sent.append((context.timeline.now_s, setpoint))
         send(setpoint)
 
-    context.send_setpoint = keep  # type: ignore[method-assign]
+    context.control.send_setpoint = keep  # type: ignore[method-assign]
     return sent
 
 
@@ -100,14 +100,14 @@ def test_a_station_that_died_is_flown_around_by_one_in_reserve(autopilot: str) -
     one.proxy.cuts.append(("s2", 12.0, 1e9))
     one.run(until=lambda: one.core.state is FlightState.HOLDING and one.core.status()["stands"], limit_s=200.0)
     one.run_for(3.0)
-    assert one.core.airborne.held_for.startswith("waiting for s2")
+    assert one.core.airborne.held.text.startswith("waiting for s2")
     new = replan(
         old,
         one.plan_s,
         at_rest=True,
         excluded_stations=("s2",),
         present_s=one.plan_s,
-        handovers_done=one.core.airborne.relay.leg,
+        handovers_done=one.core.airborne.chain.leg,
         method="fast",
     )
     assert new.plan.station_ids[:2] == ("s1", "beside")
@@ -147,7 +147,7 @@ def test_after_a_replan_the_way_back_is_the_way_flown() -> None:
 
 def test_over_a_late_link_the_lead_is_joined_too() -> None:
     one = fly_to(flight("px4", proxy=Proxy(seed=1, latency_s=0.15)), 5.5)
-    assert one.core.airborne.lead.seconds == pytest.approx(0.15, abs=0.03)
+    assert one.core.airborne.latency.ahead_s == pytest.approx(0.15, abs=0.03)
     new = replan(wide_plan(), FIRST_JOIN_S, destination=HOME, method="fast")
     sent = recorded(one)
     say(one, new)
@@ -166,13 +166,18 @@ def test_a_plan_that_does_not_fit_is_refused_and_the_flight_goes_on() -> None:
     standing = replan(old, one.plan_s, at_rest=True, method="fast")
 
     def refuses(words: str, upcoming: Any = None, **more: Any) -> None:
-        before = (core.context.plan, core.airborne.reference, core.airborne.relay.leg, len(one.said("replanned")))
+        before = (
+            core.context.plan,
+            core.airborne.guidance.reference,
+            core.airborne.chain.leg,
+            len(one.said("replanned")),
+        )
         with pytest.raises(TransitionError, match=words):
             core.command("replan", upcoming=upcoming, **more)
         assert before == (
             core.context.plan,
-            core.airborne.reference,
-            core.airborne.relay.leg,
+            core.airborne.guidance.reference,
+            core.airborne.chain.leg,
             len(one.said("replanned")),
         )
 
@@ -197,7 +202,7 @@ def test_a_plan_that_does_not_fit_is_refused_and_the_flight_goes_on() -> None:
     one.run(until=lambda: one.plan_s >= late.join_s - 0.8, limit_s=30.0)
     refuses("too late", core.make_ready(late.plan.to_document()))
     moving = core.make_ready(replan(old, old.handovers[0].time_s + 13.0, method="fast").plan.to_document())
-    one.run(until=lambda: core.airborne.relay.moving, limit_s=60.0)
+    one.run(until=lambda: core.airborne.chain.moving, limit_s=60.0)
     refuses("control is being moved just now", moving)
     core.command("abort", by="test")
     refuses("'replan' needs a flight that is", moving)

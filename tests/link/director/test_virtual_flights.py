@@ -13,9 +13,9 @@ import pytest
 
 import sitl_fixtures
 from gcs.flight import FlightState
-from tests.support.flight_plans import relay_plan
-from tests.support.recordings import load
-from tests.support.virtual_flight import VirtualFlight, handover_gaps_s, one_station_at_a_time
+from tests.support.flights.virtual import VirtualFlight, handover_gaps_s, one_station_at_a_time
+from tests.support.link.recordings import load
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 MISSIONS = Path(sitl_fixtures.__file__).parent / "missions"
@@ -35,7 +35,7 @@ def test_a_flight_over_three_stations(autopilot: str) -> None:
     assert one.run(limit_s=400.0) is FlightState.COMPLETED
     one_station_at_a_time(one)
     # The exported schedule is the one flown: each handover at the first sample at or after its time.
-    launched = one.core.context.launched_s
+    launched = one.core.context.timeline.launched_s
     assert launched is not None
     for event, planned in zip(one.said("handover", state="requested"), one.plan.handovers, strict=True):
         assert 0.0 <= event.time_s - launched - planned.time_s < 0.05 + 1e-6

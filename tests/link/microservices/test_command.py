@@ -21,10 +21,10 @@ class Bench:
     def __init__(self) -> None:
         self.gate = TransmitterGate({name: StationCodec(number).encode for name, number in IDS.items()})
         self.commander = Commander(self.gate.send, IDS)
-        self.fence = self.gate.grant("a")
+        self.grant = self.gate.grant("a")
 
     def start(self, now_s: float = 0.0, **options: Any) -> Any:
-        return self.commander.start(now_s, self.fence, "arm", ARM, (1.0,), target_system=1, **options)
+        return self.commander.start(now_s, self.grant, "arm", ARM, (1.0,), target_system=1, **options)
 
     def sent(self) -> list[Any]:
         decoder = StationCodec(250)

@@ -9,11 +9,11 @@ import pytest
 from link.dialect import mavlink
 from link.director import launch as launch_module
 from link.microservices.parameter import ATTEMPTS, ParameterClient
-from link.transport.gate import Fence
-from tests.support.flight_plans import relay_plan
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from link.transport.gate import ControlGrant, Sender
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
-FENCE = Fence(1, "s1")
+GRANT = ControlGrant(1, Sender("s1"))
 
 
 def client() -> tuple[ParameterClient, list[str]]:
@@ -27,7 +27,7 @@ def refusal(name: str, error: int = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST) -> A
 
 def test_a_name_the_vehicle_says_it_does_not_have_is_not_asked_again() -> None:
     parameters, sent = client()
-    unknown, other = parameters.read(["GUID_TIMEOUT", "FS_OPTIONS"], FENCE)
+    unknown, other = parameters.read(["GUID_TIMEOUT", "FS_OPTIONS"], GRANT)
     parameters.step(0.0)
     parameters.on_error(refusal("GUID_TIMEOUT"))
     parameters.on_error(refusal("NEVER_ASKED"))

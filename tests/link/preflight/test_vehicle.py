@@ -15,7 +15,7 @@ from gcs.plan.failsafe_return import failsafe_returns
 from link.autopilot.registry import PROFILES
 from link.dialect import mavlink
 from link.errors import FlightRequestError
-from link.handover.gcs_ownership import ENFORCE, Ownership, wanted, writes
+from link.handover.gcs_ids import ENFORCE, GcsIds, wanted, writes
 from link.microservices.parameter_value import Parameter
 from link.preflight.check import Check, Level, worst, worst_first
 from link.preflight.failsafe_return import judge_failsafe_return, return_rules
@@ -25,8 +25,8 @@ from link.preflight.vehicle import judge_clock, judge_performance, judge_place, 
 from link.session.request import FlightRequest
 from link.telemetry.link_path import LinkQuality
 from link.telemetry.vehicle_monitor import VehicleMonitor
-from tests.support.flight_plans import relay_plan
-from tests.support.ground_flight import checks, on_ground
+from tests.support.flights.on_ground import checks, on_ground
+from tests.support.plans.planned import relay_plan
 
 
 def request(**changes: Any) -> FlightRequest:
@@ -277,7 +277,7 @@ def test_the_preflight_tells_who_the_vehicle_is_and_which_plan_every_station_has
 def test_no_write_shuts_out_a_writer_that_is_heard_before_and_after(
     low: int, high: int, enforced: bool, ids: list[int], data: st.DataObject
 ) -> None:
-    before = Ownership(low, high, ENFORCE if enforced else 0)
+    before = GcsIds(low, high, ENFORCE if enforced else 0)
     after = wanted({str(i): i for i in ids}, before)
     writer = data.draw(st.sampled_from(ids))
     assert after.hears(writer)
@@ -292,13 +292,15 @@ def test_no_write_shuts_out_a_writer_that_is_heard_before_and_after(
 
 
 def test_the_range_of_a_plan_is_that_of_its_stations_and_one_station_is_no_range() -> None:
-    before = Ownership(255, 0, 4)
-    assert wanted({"a": 243, "b": 241}, before) == Ownership(241, 243, 5)
-    assert wanted({"a": 243}, before) == Ownership(243, 0, 5)
+    before = GcsIds(255, 0, 4)
+    assert wanted({"a": 243, "b": 241}, before) == GcsIds(241, 243, 5)
+    assert wanted({"a": 243}, before) == GcsIds(243, 0, 5)
     # Before 4.7 there is no range.
-    assert wanted({"a": 243}, Ownership(255, None, 0)) == Ownership(243, None, 1)
+    assert wanted({"a": 243}, GcsIds(255, None, 0)) == GcsIds(243, None, 1)
     # The order trap: HI first, or the writer 255 is shut out while widening to 254..255.
-    assert writes(Ownership(255, 0, 1), Ownership(254, 255, 1)) == [("gcs_system_id_high", 255), ("gcs_system_id", 254)]
+    assert writes(GcsIds(255, 0, 1), GcsIds(254, 255, 1)) == [("gcs_system_id_high", 255), ("gcs_system_id", 254)]
+    # And the other way round: SYSID first, or 1 alone is heard while 1..5 narrows to 2.
+    assert writes(GcsIds(1, 5, 1), GcsIds(2, 0, 1)) == [("gcs_system_id", 2), ("gcs_system_id_high", 0)]
 
 
 # -- the request ------------------------------------------------------------------------------------------------------

@@ -33,8 +33,8 @@ from link.streamer.recorder import Recorder
 from link.streamer.scheduling import lock_memory, raise_priority
 from link.wire.signing import SigningKey
 from link.wire.signing_timestamps import SigningStore
-from tests.support.flight_plans import relay_plan
-from tests.support.flight_processes import free_ports, open_files
+from tests.support.flights.processes import free_ports, open_files
+from tests.support.plans.planned import relay_plan
 
 TICK_S = 0.02
 
@@ -308,8 +308,9 @@ def test_a_sped_up_flight_is_paced_by_the_vehicles_clock(tmp_path: Path, quiet_p
     clock.heard = told.append  # type: ignore[method-assign]
 
     class Context:
-        class monitor:  # noqa: N801
-            position: Any = None
+        class vehicle:  # noqa: N801
+            class monitor:  # noqa: N801
+                position: Any = None
 
     bench.core.context = Context  # type: ignore[attr-defined]
     bench.core.last = 60
@@ -319,7 +320,7 @@ def test_a_sped_up_flight_is_paced_by_the_vehicles_clock(tmp_path: Path, quiet_p
         _, address = one.recvfrom(2048)
         one.sendto(b"1", address)
         wait_for(lambda: bool(told))
-        Context.monitor.position = type("Position", (), {"boot_s": 12.5})
+        Context.vehicle.monitor.position = type("Position", (), {"boot_s": 12.5})
         one.sendto(b"2", address)
 
     thread = threading.Thread(target=speak)

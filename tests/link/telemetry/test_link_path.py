@@ -9,8 +9,8 @@ import pytest
 from gcs.flight import FlightState
 from link.telemetry.link_path import LinkPath
 from link.telemetry.station_link import StationLink
-from tests.support.flight_plans import relay_plan
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
@@ -114,7 +114,7 @@ def test_over_tcp_a_frame_may_come_in_pieces() -> None:
     frame = vehicle.encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3))
     core.receive("s1", frame[:9], 1.0, "tcp:127.0.0.1:9")
     core.receive("s1", frame[9:], 1.1, "tcp:127.0.0.1:9")
-    first, second = core.context.monitor.links["s1"].paths
+    first, second = core.context.vehicle.monitor.links["s1"].paths
     assert (first.messages, second.messages) == (0, 1)
     # A datagram in two is two broken ones.
     core.receive("s1", frame[:9], 2.0, "udpout:127.0.0.1:9")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from link.dialect import mavlink
-from link.monitors.tracking import STRANGE_M
+from link.monitors.uplink import FOREIGN_TARGET_M
 from link.telemetry.setpoint_echo import EchoTracker, Sent
 from link.telemetry.vehicle_monitor import VehicleMonitor
 from link.wire.codec import StationCodec
@@ -128,8 +128,8 @@ def test_control_status_and_the_ekf_origin_are_kept_by_link() -> None:
     assert origin.alt_amsl_m == 30.0
 
 
-def sent(time_s: float, east_m: float, station: str, fence: int, accel: float = 0.5, speed: float = 15.0) -> Sent:
-    return Sent(time_s, station, fence, (0.0, east_m, -40.0), (0.0, speed, 0.0), (accel, 0.0, 0.0))
+def sent(time_s: float, east_m: float, station: str, grant: int, accel: float = 0.5, speed: float = 15.0) -> Sent:
+    return Sent(time_s, station, grant, (0.0, east_m, -40.0), (0.0, speed, 0.0), (accel, 0.0, 0.0))
 
 
 def target(east_m: float, accel: float = 0.5) -> Any:
@@ -151,7 +151,7 @@ def test_hovering_setpoints_cannot_be_told_apart() -> None:
     echoes = EchoTracker(runs_on=False)
     echoes.note(sent(0.0, 5.0, "a", 1))
     echoes.note(sent(0.1, 5.0, "b", 2))
-    assert {s.fence for s in echoes.held(target(5.0))} == {1, 2}
+    assert {s.grant for s in echoes.held(target(5.0))} == {1, 2}
 
 
 def test_ardupilots_target_runs_on_so_its_acceleration_must_tell() -> None:
@@ -176,5 +176,5 @@ def test_a_target_that_ran_on_for_seconds_proves_nothing_and_is_no_strangers() -
         ran_on = target(15.0 * t, accel=0.5)
         # The one it holds, while that is fresh; never one that was lost.
         assert [s.sent_s for s in echoes.held(ran_on)] == ([0.0] if t <= 0.5 else [])
-        assert echoes.distance_m(ran_on) <= STRANGE_M
-    assert echoes.distance_m(target(15.0 * 2.8 + 20.0)) > STRANGE_M
+        assert echoes.distance_m(ran_on) <= FOREIGN_TARGET_M
+    assert echoes.distance_m(target(15.0 * 2.8 + 20.0)) > FOREIGN_TARGET_M

@@ -11,16 +11,17 @@ from planner import Infeasibility, Problem
 from planner.coverage.overlap import MIN_OVERLAP_M
 from planner.infeasibility import diagnosis
 from planner.infeasibility.diagnosis import diagnose
-from tests.support.planner_missions import PAPER_LIKE, make_problem, paper_problem, scene
+from planner.remedy import RaiseLimit, RaiseRange, SetAltitude
+from tests.support.missions.problems import PAPER_LIKE, make_problem, paper_problem, scene
 
 
 def applied(problem: Problem, found: Infeasibility) -> Problem:
-    """The problem with the offered fix made."""
-    assert found.fix is not None
+    """The problem with the offered remedy made."""
     ranges = problem.ranges_m.copy()
-    for fix in [found.fix, *found.fix.get("also", [])]:  # type: ignore[misc]
-        assert fix["action"] == "raise_range"
-        ranges[fix["station"]] += fix["by_m"]
+    (remedy,) = found.remedies
+    for change in remedy:
+        assert isinstance(change, RaiseRange)
+        ranges[change.station] += change.by_m
     return replace(problem, ranges_m=ranges)
 
 
@@ -36,7 +37,7 @@ def test_an_end_outside_the_band(two_stations: Problem, altitude: float, nearest
     assert found is not None
     assert found.reason == "start_altitude"
     assert found.gap_m == abs(altitude - nearest)
-    assert found.fix == {"action": "set_altitude", "of": "start", "alt_m": nearest, "by_m": nearest - altitude}
+    assert found.remedies == ((SetAltitude("start", nearest, nearest - altitude),),)
     assert "120.00" in found.message
     found = diagnose(replace(two_stations, destination_m=np.array([0, 0, altitude])))
     assert found is not None
@@ -63,7 +64,7 @@ def test_an_end_below_the_elevation_angle(two_stations: Problem) -> None:
     assert "elevation" in found.message
 
 
-def test_a_broken_chain_names_the_two_sides_the_gap_and_the_fix() -> None:
+def test_a_broken_chain_names_the_two_sides_the_gap_and_the_remedy() -> None:
     """A and B meet, C and D meet, B and C are 2 sqrt(500^2 - 100^2) - 1000 = 20.2 m apart.
 
     A(0) ─ B(900) ╳ C(1900) ─ D(2800)
@@ -76,9 +77,10 @@ def test_a_broken_chain_names_the_two_sides_the_gap_and_the_fix() -> None:
     assert found.stations == (1, 2)
     assert found.gap_m == pytest.approx(1000.0 - 2 * radius)
     assert found.position_m == pytest.approx((1400.0, 0.0, 100.0))
-    assert found.fix is not None
-    assert found.fix["station"] in (1, 2)
-    assert found.fix["by_m"] == pytest.approx(np.hypot(1000.0 - radius + MIN_OVERLAP_M, 100.0) - 500.0, rel=1e-6)
+    (raised,) = found.remedies[0]
+    assert isinstance(raised, RaiseRange)
+    assert raised.station in (1, 2)
+    assert raised.by_m == pytest.approx(np.hypot(1000.0 - radius + MIN_OVERLAP_M, 100.0) - 500.0, rel=1e-6)
     assert diagnose(applied(problem, found)) is None
     nearly = replace(problem, ranges_m=applied(problem, found).ranges_m - np.array([0, 1e-4, 1e-4, 0]))
     assert diagnose(nearly) is not None
@@ -95,14 +97,14 @@ def test_the_chain_with_the_narrowest_gap_is_the_one_explained() -> None:
     assert found.stations in ((0, 3), (3, 4))
     assert found.gap_m == pytest.approx(30.0)
     # One station in the middle raised once closes both gaps.
-    assert found.fix is not None
-    assert found.fix["station"] == 3
-    assert "also" not in found.fix
+    (raised,) = found.remedies[0]
+    assert isinstance(raised, RaiseRange)
+    assert raised.station == 3
     assert diagnose(applied(problem, found)) is None
 
 
 @pytest.mark.parametrize("name", PAPER_LIKE[::3])
-def test_the_fix_always_works(name: str) -> None:
+def test_the_remedy_always_works(name: str) -> None:
     broken = 0
     for margin_m in (40.0, 90.0, 160.0):
         problem = paper_problem(name, margin_m=margin_m)
@@ -137,7 +139,7 @@ def test_large_maps_are_explained_as_exactly(seed: int, monkeypatch: pytest.Monk
     assert large is not None
     assert whole.reason == "broken_chain"
     assert (large.stations, large.gap_m) == (whole.stations, whole.gap_m)
-    assert large.fix == whole.fix
+    assert large.remedies == whole.remedies
     monkeypatch.setattr(diagnosis, "MAX_PAIRS", 0)
     rough = diagnose(problem)
     assert rough is not None
@@ -153,9 +155,9 @@ def test_stations_in_one_line_have_no_triangles(monkeypatch: pytest.MonkeyPatch)
     found = diagnose(problem)
     assert found is not None
     assert found.gap_m == pytest.approx(900 - np.sqrt(500**2 - 100**2) - np.sqrt(300**2 - 100**2))
-    assert found.fix is not None
-    assert found.fix["station"] == 3
-    assert "also" not in found.fix
+    (raised,) = found.remedies[0]
+    assert isinstance(raised, RaiseRange)
+    assert raised.station == 3
 
 
 def test_a_tangent_pair_is_a_broken_chain_until_the_overlap_is_a_millimetre_deep() -> None:
@@ -169,5 +171,5 @@ def test_more_handovers_than_allowed() -> None:
     found = diagnose(problem)
     assert found is not None
     assert found.reason == "limits"
-    assert found.fix == {"action": "raise_limit", "limit": "max_handovers", "to": 2}
+    assert found.remedies == ((RaiseLimit("max_handovers", 2),),)
     assert diagnose(replace(problem, max_handovers=2)) is None

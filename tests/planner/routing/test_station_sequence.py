@@ -15,11 +15,12 @@ from planner import InfeasibleError, Problem, build_corridor
 from planner.corridor.handover_polyline import polyline_along
 from planner.corridor.polyline_program import polyline_length_m, shortest_polyline
 from planner.infeasibility.diagnosis import diagnose
+from planner.remedy import RaiseLimit
 from planner.routing import station_sequence
 from planner.routing.bound import lower_bound
 from planner.routing.portal_graph import PortalGraph
 from planner.routing.station_sequence import candidate_routes, geodesic_sequence, is_chain
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.missions.problems import make_problem, paper_problem
 
 
 def random_problem(seed: int, count: int, side_m: float, **options: float) -> Problem:
@@ -154,7 +155,7 @@ def test_fewer_handovers_when_limited(name: str) -> None:
     with pytest.raises(InfeasibleError) as raised:
         candidate_routes(limited)
     assert raised.value.infeasibility.reason == "limits"
-    assert raised.value.infeasibility.fix == {"action": "raise_limit", "limit": "max_handovers", "to": limit + 1}
+    assert raised.value.infeasibility.remedies == ((RaiseLimit("max_handovers", limit + 1),),)
 
 
 def test_portal_routes_keep_the_limit_exactly() -> None:

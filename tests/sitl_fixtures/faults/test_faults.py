@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.faults import FAULTS, listing
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
-from tests.support.sitl_station import ACCEPTED, DENIED, FAILED, GUIDED, OFFBOARD, UNSUPPORTED, Rig, Station, airborne
+from tests.support.sitl.station import ACCEPTED, DENIED, FAILED, GUIDED, OFFBOARD, UNSUPPORTED, Rig, Station, airborne
 
 Check = Callable[[Rig, Station], None]
 CHECKS: dict[str, tuple[str, Check]] = {}
@@ -668,6 +668,11 @@ def test_a_fault_that_cannot_be_is_named(bad: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(bad)) as found:
         SimulatedAutopilot(SimulatorConfig(faults=(bad,)))
     assert words in str(found.value) or words == "see"
+
+
+def test_scripts_with_the_former_names_still_run() -> None:
+    vehicle = SimulatedAutopilot(SimulatorConfig(faults=("stranger-streams:50@T5",)))
+    assert [acting.fault.name for acting in vehicle.faults.acting] == ["foreign-station-streams"]
 
 
 def test_listing_has_a_line_for_each() -> None:

@@ -17,7 +17,7 @@ from sitl_fixtures.__main__ import main
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.process.host import Address, Host
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
-from tests.support.flight_processes import free_ports
+from tests.support.flights.processes import free_ports
 
 
 class Ground:

@@ -1,4 +1,7 @@
-"""Missions, registries, flights and their events."""
+"""Missions, registries, flights and their events.
+
+`upgrade` is long because it is a table: one call a table of the database, one line a column.
+"""
 
 from __future__ import annotations
 

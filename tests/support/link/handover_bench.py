@@ -8,10 +8,10 @@ from typing import Any
 from gcs.flight import EventKind, FlightState
 from link.dialect import mavlink
 from link.director.core import FlightCore
-from link.handover.handover import borders
+from link.handover.handover import handover_windows
 from link.session.request import FlightRequest
 from link.wire.codec import StationCodec
-from tests.support.flight_plans import relay_plan
+from tests.support.plans.planned import relay_plan
 
 TICK_S = 0.05
 
@@ -26,7 +26,7 @@ def request(**changes: Any) -> FlightRequest:
 
 
 class Bench:
-    """The relay of a flight core in cruise, and a vehicle reduced to what a handover needs of it.
+    """The handover chain of a flight core in cruise, and a vehicle reduced to what a handover needs of it.
 
     ``up`` says which links work, ``obeys`` whom the vehicle answers; time moves by `tick`.
     """
@@ -34,10 +34,10 @@ class Bench:
     def __init__(self, **changes: Any) -> None:
         self.core = FlightCore(request(**changes))
         self.c = self.core.context
-        self.relay = self.core.airborne.relay
+        self.chain = self.core.airborne.chain
         for state in ("identifying", "preflight", "ready", "arming", "takeoff", "transit", "cruise"):
-            self.c.become(FlightState(state))
-        self.c.grant("s1", "first")
+            self.c.timeline.become(FlightState(state))
+        self.c.control.grant("s1", "first")
         self.up = dict.fromkeys(STATIONS, True)
         self.obeys = set(STATIONS)
         self.decoder = StationCodec(99)
@@ -50,22 +50,23 @@ class Bench:
         """The working links bring telemetry and answered probes."""
         for station, works in self.up.items():
             if works:
-                link = self.c.monitor.links[station]
-                link.active.heard_s = link.active.proven_s = self.c.now_s
+                link = self.c.vehicle.monitor.links[station]
+                link.active.heard_s = link.active.proven_s = self.c.timeline.now_s
 
     def tick(self, to_s: float | None = None, *, backwards: bool = False) -> None:
-        self.c.now_s += TICK_S
+        self.c.timeline.now_s += TICK_S
         self.hear()
         if to_s is not None:
             self.plan_s = to_s
-        self.relay.step(self.plan_s, backwards=backwards)
-        self.c.send_setpoint(self.core.airborne.stream.at(self.plan_s))
-        self.c.commander.step(self.c.now_s)
+        self.chain.step(self.plan_s, backwards=backwards)
+        self.c.control.send_setpoint(self.core.airborne.guidance.stream.at(self.plan_s))
+        self.c.control.commander.step(self.c.timeline.now_s)
         self.deliver()
 
     def deliver(self) -> None:
         self.senders = []
-        for station, frame in self.c.gate.take_outgoing():
+        for sender, frame in self.c.control.gate.take_outgoing():
+            station = sender.station_id
             for message in self.decoder.decode(frame):
                 if message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT":
                     self.senders.append(station)
@@ -73,14 +74,14 @@ class Bench:
                     ack = mavlink.MAVLink_command_ack_message(
                         message.command, 0, 0, 0, message.get_srcSystem(), message.get_srcComponent()
                     )
-                    self.c.commander.on_ack(self.c.now_s, ack)
+                    self.c.control.commander.on_ack(self.c.timeline.now_s, ack)
 
     def said(self, **data: Any) -> list[Any]:
         return [
             e
-            for e in self.c.events
+            for e in self.c.timeline.events
             if e.kind is EventKind.HANDOVER and all(e.data.get(k) == v for k, v in data.items())
         ]
 
 
-FIRST, SECOND = borders(relay_plan())
+FIRST, SECOND = handover_windows(relay_plan())

@@ -21,9 +21,9 @@ from link.dialect import mavlink
 from link.session.request import FlightRequest
 from link.transport.opening import open_endpoint
 from link.wire.codec import StationCodec
+from tests.support.flights.virtual import plan_home
 from tests.support.heartbeats import is_autopilot
 from tests.support.paths import ROOT
-from tests.support.virtual_flight import plan_home
 
 
 def free_ports(count: int) -> list[int]:
@@ -99,7 +99,7 @@ def bad_links(vehicle: Simulator, *arguments: str) -> Iterator[dict[str, subproc
 ATTENDANT = """
 import json, sys, time
 from pathlib import Path
-from link.director.core import FlightRequest
+from link.session.request import FlightRequest
 from link.streamer.supervisor import start_flight
 flight = start_flight(FlightRequest.from_document(json.load(open(sys.argv[1]))), run_dir=Path(sys.argv[2]))
 print(flight.pid, flush=True)

@@ -12,7 +12,6 @@ coverage behind it, beyond any margin: then the new plan rests a little further 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import datetime
@@ -20,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from gcs.errors import MissionInfeasible
+from gcs.errors import Finding, MissionInfeasible
+from gcs.layout.problem_planner import PlannerLike
 from gcs.mission.document import read_mission, with_options
 from gcs.mission.model import LocalPosition, Mission, Position, StartState
 from gcs.mission.writing import write_mission
@@ -29,23 +29,16 @@ from gcs.plan.document import read_plan
 from gcs.plan.handover_schedule import schedule
 from gcs.plan.model import Plan
 from gcs.planning.certification import recertify
-from gcs.planning.mission_planning import Progress, plan_mission
-from gcs.planning.solve import PlannerLike
-from planner import Method, Trajectory, bezier
-from planner.arrays import Array, Indices
+from gcs.planning.joining import as_flown, clear_of_joints, moving_on, standing_first
+from gcs.planning.mission_planning import PlanningMethod, Progress, find_plan, problem_planner
+from gcs.remedies.explanation import explain
+from planner import Method, Trajectory
+from planner.arrays import Array
 
-QUINTIC = 5
 LEAST_LEFT_S = 1.0
 """A join this near the end of the plan, or nearer, is no use."""
-BRAKING_SHARES = (0.6, 0.45, 0.3, 0.8)
-"""Peak braking, of the acceleration limit, tried in turn for a flight that stands."""
 BACK_S = (0.0, 2.0, 4.0, 8.0, 16.0)
 """How far back on the plan a flight that stands may have to go, tried in turn."""
-LEAST_PIECE_S = 2.0
-"""Shortest piece a join leaves: coordinates of 100 km round to 1e-11 m, and an acceleration is their second difference
-over the piece's time squared, so that shorter pieces would not be continuous to the certificate's tolerance."""
-_BRAKING_PIECE_S = 1.5
-_SAME_S = 1e-6
 _OTHER_STARTS = 3
 
 
@@ -141,29 +134,30 @@ def replan(
             "Replan earlier in the flight, or plan a new mission after landing.",
         )
     excluded = list(plan.mission.options.excluded_stations if excluded_stations is None else excluded_stations)
-    how = {
-        "planner": planner,
-        "method": method,
-        "time_limit_s": time_limit_s,
-        "created_utc": created_utc,
-        "notes": notes,
-        "progress": progress,
-        "plane": plan.plane,
-    }
-    curve = _as_flown(plan, present_s, handovers_done)
+    how = PlanningMethod(
+        problem_planner(planner, method or "joint", time_limit_s),
+        created_utc=created_utc,
+        notes=notes,
+        progress=progress,
+        plane=plan.plane,
+    )
+    curve = as_flown(plan.trajectory, present_s, handovers_done)
     if at_rest:
         tries = [join_s - back_s for back_s in BACK_S if back_s <= join_s]
     else:
-        clear_s = min(_clear_of_joints(curve, join_s)[1], plan.mission_time_s - LEAST_LEFT_S)
+        clear_s = min(clear_of_joints(curve, join_s)[1], plan.mission_time_s - LEAST_LEFT_S)
         tries = list(dict.fromkeys((clear_s, join_s)))
-    first: MissionInfeasible | None = None
+    first: MissionInfeasible | Finding | None = None
     for leave_s in tries:
         elapsed = elapsed_s if at_rest or elapsed_s is None else elapsed_s + leave_s - join_s
         try:
             return _from(plan, curve, leave_s, at_rest, destination, excluded, elapsed, how)
-        except MissionInfeasible as error:
+        except (MissionInfeasible, Finding) as error:
             first = first or error
     assert first is not None
+    if isinstance(first, Finding):
+        # Explained once, when every try is over: only the first one's reason is told.
+        raise explain(first, how.planner) from first
     raise first
 
 
@@ -175,17 +169,17 @@ def _from(
     destination: Position | None,
     excluded_stations: Sequence[str],
     elapsed_s: float | None,
-    how: Mapping[str, Any],
+    how: PlanningMethod,
 ) -> Replanned:
-    """`replan` from one place of the plan, ``curve`` being the plan's own as it was flown."""
+    """`replan` from one place of the plan, ``curve`` being the plan's own as it was flown; raises `Finding` too."""
     excluded = list(excluded_stations)
     in_control = plan.mission.stations[int(curve.station_index[curve.segment_at(join_s)])].id
     last: MissionInfeasible | None = None
     for _ in range(_OTHER_STARTS):
         wanted = _continuation(plan, join_s, at_rest, destination, excluded, elapsed_s)
         try:
-            rest = plan_mission(wanted, **how)
-        except MissionInfeasible as error:
+            rest = find_plan(wanted, how)
+        except Finding as error:
             # What stations left out for their start alone would have made possible is not to be blamed on the mission.
             raise last or error from None
         found = _standing(plan, curve, join_s, rest) if at_rest else _moving(plan, curve, join_s, rest)
@@ -241,136 +235,29 @@ def _three(vector: Array) -> tuple[float, float, float]:
     return float(vector[0]), float(vector[1]), float(vector[2])
 
 
-def _as_flown(plan: Plan, present_s: float | None, handovers_done: int | None) -> Trajectory:
-    """The plan's curve with the stations that truly were in control until now."""
-    curve = plan.trajectory
-    if present_s is None or handovers_done is None or not 0 <= handovers_done < len(curve.sequence):
-        return curve
-    stations = np.array(curve.station_index)
-    due = int(np.count_nonzero(curve.handover_times_s <= present_s))
-    late = (curve.leg_index > handovers_done) & (curve.leg_index <= due)
-    stations[late] = curve.sequence[handovers_done]
-    return Trajectory(curve.control_points_m, curve.durations_s, stations)
-
-
-def _clear_of_joints(curve: Trajectory, time_s: float) -> tuple[float, float]:
-    """The nearest times before and after, or the time itself, at which to split the curve leaves no short piece."""
-    before = int(np.searchsorted(curve.knots_s, time_s + _SAME_S, side="right")) - 1
-    knot_s = float(curve.knots_s[before])
-    if time_s <= knot_s + _SAME_S:
-        return knot_s, knot_s
-    if time_s >= knot_s + LEAST_PIECE_S:
-        return time_s, time_s
-    return knot_s, min(knot_s + LEAST_PIECE_S, float(curve.knots_s[before + 1]))
-
-
-def _until(curve: Trajectory, time_s: float) -> tuple[Array, Array, Indices]:
-    """Control points, durations and stations of a curve up to a time of it."""
-    parts = curve.split([time_s])
-    count = int(np.searchsorted(parts.knots_s, time_s + _SAME_S, side="right")) - 1
-    return parts.control_points_m[:count], parts.durations_s[:count], parts.station_index[:count]
-
-
-def _snapped(rest: Trajectory, place: Array, velocity: Array, acceleration: Array) -> Array:
-    """Control points of ``rest``, which begins exactly with that state: what a solver leaves of a residual is gone."""
-    points = np.array(rest.control_points_m)
-    degree, duration = rest.degree, float(rest.durations_s[0])
-    one = velocity * duration / degree
-    points[0, 0] = place
-    points[0, 1] = place + one
-    points[0, 2] = place + 2.0 * one + acceleration * duration**2 / (degree * (degree - 1))
-    return points
-
-
 def _moving(plan: Plan, curve: Trajectory, join_s: float, rest: Plan) -> Replanned | MissionInfeasible:
-    degree = max(curve.degree, rest.trajectory.degree)
-    points, durations, stations = _until(curve, join_s)
-    state = [np.asarray(curve.evaluate(join_s, order)) for order in (0, 1, 2)]
-    rest_points = _snapped(rest.trajectory, *state)
-    whole = Trajectory(
-        np.concatenate([bezier.elevate(points, degree), bezier.elevate(rest_points, degree)]),
-        np.concatenate([durations, rest.trajectory.durations_s]),
-        np.concatenate([stations, rest.trajectory.station_index]),
-    )
-    made = _whole(plan, rest, whole, join_s)
+    made = _whole(plan, rest, moving_on(curve, join_s, rest.trajectory), join_s)
     return Replanned(made, join_s, False, join_s) if isinstance(made, Plan) else made
 
 
 def _standing(plan: Plan, curve: Trajectory, stand_s: float, rest: Plan) -> Replanned | MissionInfeasible:
     """Brake on the path behind ``stand_s``, rest there, go on."""
-    place = np.asarray(curve.evaluate(stand_s))
-    still = np.zeros(3)
-    degree = max(curve.degree, rest.trajectory.degree, QUINTIC)
-    rest_points = bezier.elevate(_snapped(rest.trajectory, place, still, still), degree)
-    speed = float(np.linalg.norm(curve.evaluate(np.linspace(0.0, stand_s, 200), 1), axis=-1).max())
-    result: Replanned | MissionInfeasible | None = None
-    for share in BRAKING_SHARES:
-        lasts_s = 1.5 * speed / (share * plan.mission.limits.max_accel_m_s2)
-        begin_s = _clear_of_joints(curve, max(0.0, stand_s - 0.5 * lasts_s))[0]
-        if begin_s == 0.0 and plan.mission.options.start_state is None:
-            # From rest to rest, as slowly as need be.
-            lasts_s = max(lasts_s, LEAST_PIECE_S)
-        else:
-            lasts_s = 2.0 * (stand_s - begin_s)
-        points, durations, stations = _nothing(degree)
-        if begin_s > _SAME_S:
-            points, durations, stations = _until(curve, begin_s)
-        brake, pieces_s = _braking(curve, begin_s, stand_s, lasts_s, degree)
-        ends = curve.station_index[curve.segment_at(np.array([begin_s, stand_s]))]
-        # Around a handover the station before it may be the one that covers all of the braking.
-        for station in dict.fromkeys(ends[::-1].tolist()):
-            whole = Trajectory(
-                np.concatenate([bezier.elevate(points, degree), brake, rest_points]),
-                np.concatenate([durations, pieces_s, rest.trajectory.durations_s]),
-                np.concatenate([stations, np.full(len(pieces_s), station), rest.trajectory.station_index]),
-            )
-            made = _whole(plan, rest, whole, stand_s)
-            if isinstance(made, Plan):
-                return Replanned(made, begin_s + lasts_s, True, stand_s)
-            result = result or made
-    assert result is not None
-    return result
-
-
-def _braking(curve: Trajectory, begin_s: float, stand_s: float, lasts_s: float, degree: int) -> tuple[Array, Array]:
-    """The way from ``begin_s`` to rest at ``stand_s`` of the same path: control points and durations of its pieces.
-
-    The rate along the plan falls from its first value to 0 as 1 - 3 u^2 + 2 u^3 with u the share of the time taken,
-    ``lasts_s``. That is twice the plan's time, and the first value 1, or more from rest. Each piece is the quintic with
-    the right position, velocity and acceleration at both ends.
-    """
-    if stand_s - begin_s < _SAME_S:
-        return np.empty((0, degree + 1, 3)), np.empty(0)
-    count = max(1, math.floor(lasts_s / _BRAKING_PIECE_S))
-    u = np.linspace(0.0, 1.0, count + 1)
-    span_s = 2.0 * (stand_s - begin_s)
-    on_plan = begin_s + span_s * (u - u**3 + 0.5 * u**4)
-    on_plan[-1] = stand_s
-    rate = span_s / lasts_s * (1.0 - 3.0 * u**2 + 2.0 * u**3)
-    change = span_s / lasts_s**2 * (-6.0 * u + 6.0 * u**2)
-    rate[-1] = change[-1] = 0.0
-    place, first, second = (np.asarray(curve.evaluate(on_plan, order)) for order in (0, 1, 2))
-    velocity = rate[:, None] * first
-    acceleration = (rate**2)[:, None] * second + change[:, None] * first
-    each_s = lasts_s / count
-    one, two = each_s / QUINTIC, each_s**2 / (QUINTIC * (QUINTIC - 1))
-    begin, end = slice(0, -1), slice(1, None)
-    points = np.stack(
-        [
-            place[begin],
-            place[begin] + one * velocity[begin],
-            place[begin] + 2.0 * one * velocity[begin] + two * acceleration[begin],
-            place[end] - 2.0 * one * velocity[end] + two * acceleration[end],
-            place[end] - one * velocity[end],
-            place[end],
-        ],
-        axis=1,
+    limits, options = plan.mission.limits, plan.mission.options
+    ways = standing_first(
+        curve,
+        stand_s,
+        rest.trajectory,
+        max_accel_m_s2=limits.max_accel_m_s2,
+        from_rest=options.start_state is None,
     )
-    return bezier.elevate(points, degree), np.full(count, each_s)
-
-
-def _nothing(degree: int) -> tuple[Array, Array, Indices]:
-    return np.empty((0, degree + 1, 3)), np.empty(0), np.empty(0, dtype=np.int64)
+    refused: MissionInfeasible | None = None
+    for joined, join_s in ways:
+        made = _whole(plan, rest, joined, stand_s)
+        if isinstance(made, Plan):
+            return Replanned(made, join_s, True, stand_s)
+        refused = refused or made
+    assert refused is not None
+    return refused
 
 
 def _whole(plan: Plan, rest: Plan, curve: Trajectory, join_s: float) -> Plan | MissionInfeasible:

@@ -1,4 +1,4 @@
-"""Ownership by parameter: one station heard at a time, moved in flight, nobody locked out, given back at the end."""
+"""GCS ids by parameter: one station heard at a time, moved in flight, nobody locked out, given back at the end."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from gcs.flight import FlightState
 from link.dialect import mavlink
 from link.director.core import FlightCore
 from link.errors import GateClosed
-from link.handover.gcs_ownership import ENFORCE, Keeper, Ownership
+from link.handover.gcs_ids import ENFORCE, GcsIdManager, GcsIds
 from link.microservices.parameter_value import Parameter
-from link.session.context import VEHICLE_STATION
 from link.session.request import FlightRequest
-from link.transport.gate import TransmitterGate
-from tests.support.flight_plans import relay_plan
-from tests.support.ground_flight import checks, on_ground
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from link.transport.gate import Sender, TransmitterGate
+from tests.support.flights.on_ground import checks, on_ground
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 NAMES = ("MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "MAV_OPTIONS")
 OLD_NAMES = ("SYSID_MYGCS", "SYSID_ENFORCE")
@@ -37,7 +36,7 @@ def by_parameter(firmware: str = "", stations: int = 3, **settings: Any) -> Virt
 
 def heard(one: VirtualFlight) -> set[str]:
     """The stations the vehicle obeys now."""
-    ids = one.core.context.system_ids
+    ids = one.core.context.control.system_ids
     return {s for s in one.stations if one.vehicle.autopilot.is_owner(ids[s])}
 
 
@@ -91,12 +90,12 @@ def test_an_older_firmware_is_refused_another_way_with_the_only_one_it_has() -> 
     # With one station there is nothing to hand over.
     alone = on_ground("ardupilot", relay_plan(1), config={"firmware": "4.6"})
     assert alone.core.state is FlightState.READY
-    assert alone.vehicle.parameters["SYSID_MYGCS"] == alone.core.context.system_ids["s1"]
+    assert alone.vehicle.parameters["SYSID_MYGCS"] == alone.core.context.control.system_ids["s1"]
 
 
 @pytest.mark.slow
 @FIRMWARE
-def test_an_abort_hands_back_over_the_same_borders_and_gives_back(firmware: str) -> None:
+def test_an_abort_hands_back_over_the_same_windows_and_gives_back(firmware: str) -> None:
     one = by_parameter(firmware, 2)
     one.run(until=lambda: one.plan_s > 25.0, limit_s=300.0)
     assert heard(one) == {"s2"}
@@ -110,9 +109,9 @@ def test_an_abort_hands_back_over_the_same_borders_and_gives_back(firmware: str)
 @FIRMWARE
 def test_a_dead_links_neighbour_opens_the_vehicle_with_the_vehicles_own_id(firmware: str) -> None:
     one = by_parameter(firmware, 2)
-    border = one.core.airborne.relay.borders[0]
-    one.run(until=lambda: one.plan_s > border.open_s + 1.0, limit_s=300.0)
-    assert one.core.airborne.relay.leg == 0
+    window = one.core.airborne.chain.windows[0]
+    one.run(until=lambda: one.plan_s > window.open_s + 1.0, limit_s=300.0)
+    assert one.core.airborne.chain.leg == 0
     one.proxy.cuts.append(("s1", one.now_s, 1e9))
     one.run(until=lambda: heard(one) == {"s2"}, limit_s=10.0)
     (alarm,) = one.said("alarm", what="ownership by the vehicle's own id")
@@ -132,7 +131,7 @@ def test_answers_that_are_lost_leave_two_candidates_and_the_one_obeyed_owns(firm
     assert not one.said("state", to="lapsed")
     assert given_back(one)
     if firmware:
-        assert one.core.airborne.relay.leg == 1  # tried, and obeyed
+        assert one.core.airborne.chain.leg == 1  # tried, and obeyed
 
 
 @pytest.mark.slow
@@ -141,7 +140,7 @@ def test_writes_that_are_not_taken_leave_the_old_station_in_control(firmware: st
     name = "SYSID_MYGCS" if firmware else "MAV_GCS_SYSID_HI"
     one = by_parameter(firmware, 2, config={"faults": (f"param-set-ignored:{name}@T1",)})
     assert one.run(limit_s=500.0) is FlightState.CONTINGENCY
-    assert one.core.airborne.relay.leg == 0
+    assert one.core.airborne.chain.leg == 0
     assert one.said("handover", state="timed_out")
     obeyed_from_its_holder(one)
 
@@ -166,7 +165,7 @@ def test_a_word_that_comes_late_finds_every_link_still_proved() -> None:
     assert one.core.state.airborne
 
 
-# -- the keeper alone -------------------------------------------------------------------------------------------------
+# -- the manager alone -------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -176,36 +175,36 @@ def _request() -> FlightRequest:
     return FlightRequest(plan=plan.to_document(), autopilot="ardupilot", links=links)
 
 
-class Desk:
-    """A keeper, and a vehicle reduced to its three values: hears whom it must, loses what is drawn."""
+class Bench:
+    """A manager, and a vehicle reduced to its three values: hears whom it must, loses what is drawn."""
 
     def __init__(self, ranged: bool) -> None:
         core = FlightCore(_request())
         self.c = core.context
-        self.c.grant("s1", "first")
-        self.ids = self.c.system_ids
+        self.c.control.grant("s1", "first")
+        self.ids = self.c.control.system_ids
         names = {"gcs_system_id": "MAV_GCS_SYSID", "enforce_gcs": "MAV_OPTIONS"}
         names |= {"gcs_system_id_high": "MAV_GCS_SYSID_HI"} if ranged else {}
-        self.truth = Ownership(self.ids["s1"], self.ids["s1"] if ranged else None, ENFORCE)
+        self.truth = GcsIds(self.ids["s1"], self.ids["s1"] if ranged else None, ENFORCE)
         values = {key: Parameter(name, 0, 4) for key, name in names.items()}
-        self.keeper = Keeper(self.c, values, self.truth)
+        self.manager = GcsIdManager(self.c, values, self.truth)
         self.fields = {"MAV_GCS_SYSID": "low", "MAV_GCS_SYSID_HI": "high", "MAV_OPTIONS": "options"}
 
     def tick(self, reaches: bool, answered: bool) -> None:
-        self.c.now_s += 0.05
-        self.keeper.step(self.c.now_s)
-        for station, frame in self.c.gate.take_outgoing():
+        self.c.timeline.now_s += 0.05
+        self.manager.step(self.c.timeline.now_s)
+        for sender, frame in self.c.control.gate.take_outgoing():
             (message,) = mavlink.MAVLink(None).parse_buffer(bytearray(frame)) or []
-            assert station.removesuffix(VEHICLE_STATION) == self.c.gate.holder
-            own = message.get_srcSystem() == self.c.vehicle
+            assert sender.station_id == self.c.control.gate.holder
+            own = message.get_srcSystem() == self.c.vehicle.system_id
             if not reaches or not (own or self.truth.hears(message.get_srcSystem())):
                 continue
             field = self.fields[message.param_id]
-            self.truth = Ownership(
+            self.truth = GcsIds(
                 **{**self.truth.__dict__, field: int(message.param_value)}  # type: ignore[arg-type]
             )
             if answered:
-                self.keeper.on_value(message.param_id, message.param_value)
+                self.manager.on_value(message.param_id, message.param_value)
 
 
 @settings(max_examples=60, deadline=None)
@@ -221,35 +220,35 @@ def test_whatever_is_lost_the_truth_is_among_the_candidates_and_the_holder_ends_
     ranged: bool, moves: list[tuple[str, str | None, int, int]]
 ) -> None:
     """``moves``: who is in control, who accompanies, for how many ticks, and what is lost (1 the way there, 2 back)."""
-    desk = Desk(ranged)
+    bench = Bench(ranged)
     for holder, partner, ticks, losses in moves:
-        desk.c.grant(holder, "drawn")
-        desk.c.gate.accompany(None if partner == holder else partner)
+        bench.c.control.grant(holder, "drawn")
+        bench.c.control.gate.accompany(None if partner == holder else partner)
         for _ in range(ticks):
-            desk.tick(reaches=not losses & 1, answered=not losses & 2)
-            assert desk.truth in desk.keeper.states
+            bench.tick(reaches=not losses & 1, answered=not losses & 2)
+            assert bench.truth in bench.manager.states
             for station in OWNERS:
-                if desk.keeper.hears(station):
-                    assert desk.truth.hears(desk.ids[station]), "believed heard, and is not"
-    desk.c.gate.accompany(None)
+                if bench.manager.hears(station):
+                    assert bench.truth.hears(bench.ids[station]), "believed heard, and is not"
+    bench.c.control.gate.accompany(None)
     for _ in range(40):
-        desk.tick(reaches=True, answered=True)
-    holder = str(desk.c.gate.holder)
-    assert desk.keeper.hears(holder)
-    assert {s for s in OWNERS if desk.truth.hears(desk.ids[s])} == {holder}
-    desk.c.gate.take_outgoing()
-    desk.tick(reaches=True, answered=True)  # and then it is quiet
-    assert desk.c.gate.take_outgoing() == []
+        bench.tick(reaches=True, answered=True)
+    holder = str(bench.c.control.gate.holder)
+    assert bench.manager.hears(holder)
+    assert {s for s in OWNERS if bench.truth.hears(bench.ids[s])} == {holder}
+    bench.c.control.gate.take_outgoing()
+    bench.tick(reaches=True, answered=True)  # and then it is quiet
+    assert bench.c.control.gate.take_outgoing() == []
 
 
 def test_the_vehicles_own_id_is_no_door_for_a_station_that_is_not_in_control() -> None:
-    gate = TransmitterGate({s: lambda m: b"" for s in ("s1", "s1!", "s2", "s2!")})
-    fence = gate.grant("s1")
+    gate = TransmitterGate({s: lambda m: b"" for s in ("s1", "s2")}, {s: lambda m: b"" for s in ("s1", "s2")})
+    grant = gate.grant("s1")
     message = mavlink.MAVLink_param_set_message(1, 1, b"MAV_GCS_SYSID", 242.0, 4)
-    gate.send(fence, message, speaker="s1!")
+    gate.send(grant, message, sender=Sender("s1", as_vehicle=True))
     with pytest.raises(GateClosed, match="s1 is in control"):
-        gate.send(fence, message, speaker="s2!")
+        gate.send(grant, message, sender=Sender("s2", as_vehicle=True))
     gate.grant("s2")
     with pytest.raises(GateClosed):
-        gate.send(fence, message, speaker="s1!")
+        gate.send(grant, message, sender=Sender("s1", as_vehicle=True))
     assert gate.stats.blocked == 2

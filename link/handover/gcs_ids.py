@@ -7,12 +7,12 @@ range (the default)
     the plan's stations have system ids in one small range, so the vehicle is told that range once, and in flight
     nothing has to change.
 parameter
-    it hears one station alone, and is told of each handover (`Keeper`). The only way for several stations before 4.7,
-    which has SYSID_MYGCS and SYSID_ENFORCE and no range.
+    it hears one station alone, and is told of each handover (`GcsIdManager`). The only way for several stations before
+    4.7, which has SYSID_MYGCS and SYSID_ENFORCE and no range.
 
 Order matters, because every write must leave the writer inside: HI first, then SYSID (the other way locks everybody out
 when the range grows downwards), enforcement last; back in the opposite order. A sender with the vehicle's own id is
-always heard: it is the way out of a lock-out, and of not knowing whom the vehicle hears.
+always heard: it gets us out of a lock-out, and of not knowing whom the vehicle hears.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from gcs.flight import EventKind
 from link.errors import GateClosed
 from link.microservices.parameter import ParameterClient, same_value
 from link.microservices.parameter_value import Parameter, write_parameter
-from link.session.context import VEHICLE_STATION, FlightContext
+from link.session.context import FlightContext
 from link.session.procedure import Steps, wait_until
-from link.transport.gate import Fence
+from link.transport.gate import ControlGrant, Sender
 
 ENFORCE = 1
 KEYS = ("gcs_system_id", "gcs_system_id_high", "enforce_gcs")
@@ -38,7 +38,7 @@ OWN_TRIES = 2
 
 
 @dataclass(frozen=True)
-class Ownership:
+class GcsIds:
     """The three values: lowest and highest station heard, and the option bits. ``high`` None: there is no range."""
 
     low: int
@@ -49,101 +49,104 @@ class Ownership:
         """Whether a station is obeyed (always, unless enforced)."""
         return not self.options & ENFORCE or self.low <= system_id <= max(self.low, self.high or 0)
 
-    def alone(self, system_id: int) -> Ownership:
+    def alone(self, system_id: int) -> GcsIds:
         """One station heard and no other."""
-        return Ownership(system_id, None if self.high is None else system_id, self.options | ENFORCE)
+        return GcsIds(system_id, None if self.high is None else system_id, self.options | ENFORCE)
 
-    def both(self, first: int, second: int) -> Ownership:
+    def both(self, first: int, second: int) -> GcsIds:
         """Two stations heard (and those between). Without a range that cannot be: the second."""
         if self.high is None:
             return self.alone(second)
-        return Ownership(min(first, second), max(first, second), self.options | ENFORCE)
+        return GcsIds(min(first, second), max(first, second), self.options | ENFORCE)
 
 
-def present(values: Mapping[str, Parameter | None]) -> Ownership | None:
+def present(values: Mapping[str, Parameter | None]) -> GcsIds | None:
     """What was read; None when the vehicle lacks a name it must have."""
     low, high, options = (values.get(key) for key in KEYS)
     if low is None or options is None:
         return None
-    return Ownership(int(low.value), None if high is None else int(high.value), int(options.value))
+    return GcsIds(int(low.value), None if high is None else int(high.value), int(options.value))
 
 
-def wanted(system_ids: Mapping[str, int], before: Ownership) -> Ownership:
+def wanted(system_ids: Mapping[str, int], before: GcsIds) -> GcsIds:
     """The range of the plan's stations, enforced. Without a range, that of one station."""
     ids = sorted(system_ids.values())
     high = None if before.high is None else ids[-1] if len(ids) > 1 else 0
-    return Ownership(ids[0], high, before.options | ENFORCE)
+    return GcsIds(ids[0], high, before.options | ENFORCE)
 
 
-def writes(before: Ownership, after: Ownership) -> list[tuple[str, int]]:
+def writes(before: GcsIds, after: GcsIds) -> list[tuple[str, int]]:
     """The writes ``(key, value)`` that lead from one to the other.
 
-    Enforcement goes off before anything else changes, and on after everything has; HI goes before SYSID. A writer
+    Enforcement goes off before anything else changes, and on after everything has. HI goes before SYSID, but after it
+    where one id alone is to be left: HI at or below SYSID means SYSID alone, which then is still the old one. A writer
     inside both ranges, or without enforcement, is heard throughout.
     """
-    order = ("gcs_system_id_high", "gcs_system_id", "enforce_gcs")
-    if not after.options & ENFORCE:
-        order = ("enforce_gcs", "gcs_system_id_high", "gcs_system_id")
+    alone = after.high is not None and after.high <= after.low
+    ids = ("gcs_system_id", "gcs_system_id_high") if alone else ("gcs_system_id_high", "gcs_system_id")
+    order = (*ids, "enforce_gcs") if after.options & ENFORCE else ("enforce_gcs", *ids)
     changes = [(key, getattr(after, FIELDS[key])) for key in order]
     return [(key, value) for key, value in changes if value is not None and value != getattr(before, FIELDS[key])]
 
 
 def apply(
-    context: FlightContext,
+    flight: FlightContext,
     parameters: ParameterClient,
     values: Mapping[str, Parameter | None],
-    before: Ownership,
-    after: Ownership,
+    before: GcsIds,
+    after: GcsIds,
 ) -> Steps[bool]:
     """Write and read back, on the ground; whether all was taken.
 
     Where the station in control is not heard (any more), its link is used with the vehicle's own id.
     """
-    station = context.fence.station_id.removesuffix(VEHICLE_STATION)
+    station = flight.control.in_force.station_id
     done = True
     for key, value in writes(before, after):
         parameter = values[key]
         assert parameter is not None
         old = parameters.known[parameter.name].value
-        taken = yield from _write(context, parameters, parameter.name, value, context.fence)
+        taken = yield from _write(flight, parameters, parameter.name, value, flight.control.in_force)
         if not taken:
             # The answer may have been lost on a link that is shut to us now.
-            context.grant(station + VEHICLE_STATION, "not heard under its own id")
-            taken = yield from _write(context, parameters, parameter.name, value, context.fence)
+            flight.control.grant(station, "not heard under its own id", as_vehicle=True)
+            taken = yield from _write(flight, parameters, parameter.name, value, flight.control.in_force)
         if taken:
-            context.emit(EventKind.PARAMETER, name=parameter.name, before=old, after=value)
+            flight.timeline.emit(EventKind.PARAMETER, name=parameter.name, before=old, after=value)
         done = done and taken
-    context.grant(station, "parameters written")
+    flight.control.grant(station, "parameters written")
     return done
 
 
-def _write(context: FlightContext, parameters: ParameterClient, name: str, value: int, fence: Fence) -> Steps[bool]:
-    setting = parameters.set(name, value, fence, attempts=6)
+def _write(
+    flight: FlightContext, parameters: ParameterClient, name: str, value: int, grant: ControlGrant
+) -> Steps[bool]:
+    setting = parameters.set(name, value, grant, attempts=6)
     while not setting.finished:
         yield
     return setting.confirmed
 
 
 def reread(
-    context: FlightContext, parameters: ParameterClient, values: Mapping[str, Parameter | None]
-) -> Steps[Ownership | None]:
+    flight: FlightContext, parameters: ParameterClient, values: Mapping[str, Parameter | None]
+) -> Steps[GcsIds | None]:
     """What the vehicle says now, asked under the station's own id and then under the vehicle's; None: no answer."""
-    station = context.fence.station_id.removesuffix(VEHICLE_STATION)
+    station = flight.control.in_force.station_id
     names = {key: parameter.name for key in KEYS if (parameter := values.get(key)) is not None}
-    for speaker in (station, station + VEHICLE_STATION):
-        context.grant(speaker, "whom does the vehicle hear")
-        asked = parameters.read(names.values(), context.fence)
-        yield from wait_until(context, lambda a=asked: all(one.finished for one in a), 30.0)  # type: ignore[misc]
+    for as_vehicle in (False, True):
+        flight.control.grant(station, "whom does the vehicle hear", as_vehicle=as_vehicle)
+        asked = parameters.read(names.values(), flight.control.in_force)
+        yield from wait_until(flight.timeline, lambda a=asked: all(one.finished for one in a), 30.0)  # type: ignore[misc]
         answers = {one.name: one.answer for one in asked}
         if all(answer is not None for answer in answers.values()):
-            context.grant(station, "answered")
+            flight.control.grant(station, "answered")
             return present({key: answers[name] for key, name in names.items()})
-    context.grant(station, "no answer")
+    flight.control.grant(station, "no answer")
     return None
 
 
-class Keeper:
-    """In flight, with ownership by parameter: the vehicle hears the station in control, and in a handover both.
+class GcsIdManager:
+    """In flight, by parameter: the vehicle hears the station in control, and in a handover both.
 
     Every unanswered write leaves two states the vehicle may be in, so a set of them is kept; any PARAM_VALUE of the
     vehicle, over whichever link, narrows it down. A station writes under its own id while all of them hear it; else,
@@ -153,11 +156,13 @@ class Keeper:
     `step` once a tick, `on_value` for every PARAM_VALUE.
     """
 
-    def __init__(self, context: FlightContext, values: Mapping[str, Parameter | None], now: Ownership) -> None:
-        self._c = context
+    def __init__(self, flight: FlightContext, values: Mapping[str, Parameter | None], now: GcsIds) -> None:
+        self._timeline = flight.timeline
+        self._vehicle = flight.vehicle
+        self._control = flight.control
         self._parameters = {key: parameter for key in KEYS if (parameter := values.get(key)) is not None}
         self._keys = {parameter.name: key for key, parameter in self._parameters.items()}
-        self.states: frozenset[Ownership] = frozenset({now})
+        self.states: frozenset[GcsIds] = frozenset({now})
         """What the vehicle may be set to."""
         self.claimed: str | None = None
         """The station that is to be heard alone before control moves, where the vehicle has no range."""
@@ -173,19 +178,20 @@ class Keeper:
 
     def hears(self, station: str) -> bool:
         """Whether the vehicle surely obeys a station."""
-        return all(state.hears(self._c.system_ids[station]) for state in self.states)
+        return all(state.hears(self._control.system_ids[station]) for state in self.states)
 
-    def wanted(self) -> Ownership | None:
+    def wanted(self) -> GcsIds | None:
         """What it is to be set to now; None while nobody is in control."""
-        gate, any_state = self._c.gate, next(iter(self.states))
+        control = self._control
+        gate, any_state = control.gate, next(iter(self.states))
         holder = gate.holder
         if holder is None:
             return None
-        own = self._c.system_ids[holder.removesuffix(VEHICLE_STATION)]
+        own = control.system_ids[holder]
         if self.claimed is not None:
-            return any_state.alone(self._c.system_ids[self.claimed])
+            return any_state.alone(control.system_ids[self.claimed])
         if gate.incoming is not None and self.ranged:
-            return any_state.both(own, self._c.system_ids[gate.incoming])
+            return any_state.both(own, control.system_ids[gate.incoming])
         return any_state.alone(own)
 
     def step(self, now_s: float) -> None:
@@ -203,7 +209,7 @@ class Keeper:
         self._tries += 1
         self._put(*due)
 
-    def _due(self, goal: Ownership) -> tuple[str, int] | None:
+    def _due(self, goal: GcsIds) -> tuple[str, int] | None:
         """The next write: the first, in the order that locks nobody out, that any possible state still needs."""
         ahead = [writes(state, goal) for state in self.states]
         for key in ("gcs_system_id_high", "gcs_system_id", "enforce_gcs"):
@@ -214,16 +220,21 @@ class Keeper:
         return None
 
     def _put(self, key: str, value: int) -> None:
-        c, parameter = self._c, self._parameters[key]
-        fence = c.fence
-        station = fence.station_id.removesuffix(VEHICLE_STATION)
+        control = self._control
+        parameter = self._parameters[key]
+        grant = control.in_force
+        station = grant.station_id
         rescue = not self.hears(station) or self._tries > OWN_TRIES
-        message = write_parameter(parameter.name, value, parameter.kind, "c_cast", target_system=c.vehicle)
+        message = write_parameter(
+            parameter.name, value, parameter.kind, "c_cast", target_system=self._vehicle.system_id
+        )
         if rescue and not self._rescued:
             self._rescued = True
-            c.alarm("ownership by the vehicle's own id", station=station, parameter=parameter.name, value=value)
+            self._timeline.alarm(
+                "ownership by the vehicle's own id", station=station, parameter=parameter.name, value=value
+            )
         try:
-            c.gate.send(fence, message, speaker=station + VEHICLE_STATION if rescue else None)
+            control.gate.send(grant, message, sender=Sender(station, as_vehicle=True) if rescue else None)
         except GateClosed:
             return
         self.states = self.states | {replace(state, **{FIELDS[key]: value}) for state in self.states}
@@ -239,4 +250,4 @@ class Keeper:
         self.states = fitting or frozenset(replace(state, **{field: int(value)}) for state in self.states)
         if len(before) > 1 or not fitting:
             old = sorted(one for one in before if one != value)
-            self._c.emit(EventKind.PARAMETER, name=name, before=old[0] if old else None, after=int(value))
+            self._timeline.emit(EventKind.PARAMETER, name=name, before=old[0] if old else None, after=int(value))

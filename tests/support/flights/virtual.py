@@ -203,7 +203,7 @@ class VirtualFlight:
         self.vehicle.step(now_s)
         if not self.frozen and self._core_s <= now_s:
             self._core_s = self.core.step(now_s)
-            holder = self.core.context.gate.holder
+            holder = self.core.context.control.gate.holder
             for station, data in self.core.take_outgoing():
                 self.sent.append((now_s, station, holder, data))
                 for url in self.core.routes(station, data):
@@ -227,14 +227,14 @@ class VirtualFlight:
 
     def _note_truth(self) -> None:
         body, air = self.vehicle.body, self.core.airborne
-        on_plan = self.core.context.launched_s is not None and not air.line
+        on_plan = self.core.context.timeline.launched_s is not None and air.guidance.on_plan
         self.truth.append(
             Truth(
                 self.now_s,
                 body.lat_deg,
                 body.lon_deg,
                 body.height_m,
-                air.reference.time_s if on_plan else None,
+                air.guidance.reference.time_s if on_plan else None,
                 self.core.state,
             )
         )
@@ -260,9 +260,10 @@ class VirtualFlight:
     @property
     def plan_s(self) -> float:
         """Where on the plan the reference is; minus infinity before T+0."""
-        if self.core.context.launched_s is None or self.core.airborne.line:
+        guidance = self.core.airborne.guidance
+        if self.core.context.timeline.launched_s is None or not guidance.on_plan:
             return -math.inf
-        return self.core.airborne.reference.time_s
+        return guidance.reference.time_s
 
     def longest_gap_s(self, from_s: float, to_s: float) -> float:
         """Longest time between setpoints obeyed in a span."""

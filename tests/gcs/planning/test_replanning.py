@@ -16,10 +16,11 @@ from gcs.mission import read_mission
 from gcs.mission.model import LocalPosition
 from gcs.plan import read_plan
 from gcs.plan.model import Plan
+from gcs.planning.joining import LEAST_PIECE_S
 from gcs.planning.mission_planning import plan_mission
-from gcs.planning.replan import LEAST_PIECE_S, Replanned, ReplanOrder, replan
+from gcs.planning.replanning import Replanned, ReplanOrder, replan
 from tests.support.checker import check_plan
-from tests.support.flight_plans import FIRST_JOIN_S, wide_document, wide_plan
+from tests.support.plans.planned import FIRST_JOIN_S, wide_document, wide_plan
 
 FAST: dict[str, Any] = {"method": "fast"}
 
