@@ -38,7 +38,7 @@ test: check postgresql
 
 # What the store's tests on PostgreSQL need: installed where it may be, said in one line where not.
 postgresql: setup
-	@$(BIN)/python -m tests.support.postgresql
+	@$(BIN)/python -m tests.support.processes.postgresql
 
 soak: setup postgresql
 	$(BIN)/pytest -m soak --timeout 0

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.support import postgresql
-from tests.support.store_backends import Backend
+from tests.support.processes import postgresql
+from tests.support.processes.store_backends import Backend
 
 settings.register_profile(
     "skyrelay",

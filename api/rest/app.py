@@ -8,7 +8,8 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 
 from api.rest import problems
-from api.rest.middleware import BodyLimit, OriginGuard, RequestLog
+from api.rest.guards import HostGuard, OriginGuard
+from api.rest.middleware import BodyLimit, HeadAnswers, RequestLog
 from api.rest.openapi import describe
 from api.rest.routes import flights, health, missions, page, plans, registries
 from api.service import Metrics, Services
@@ -41,7 +42,9 @@ def create_app(settings: Settings) -> FastAPI:
     problems.install(app, [route for router in routers for route in router.routes])
     describe(app)
     # The last one added is the outermost.
-    app.add_middleware(BodyLimit, limit_bytes=settings.max_document_bytes)
+    app.add_middleware(BodyLimit, limit_bytes=settings.max_body_bytes, mission_bytes=settings.max_document_bytes)
+    app.add_middleware(HeadAnswers)
     app.add_middleware(OriginGuard)
+    app.add_middleware(HostGuard, names=settings.allowed_hosts)
     app.add_middleware(RequestLog, observe=metrics.observe_request)
     return app

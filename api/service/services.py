@@ -10,6 +10,8 @@ from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+import anyio
+
 from api.service.changes import Changes
 from api.service.flights import FlightService
 from api.service.metrics import Metrics
@@ -57,6 +59,7 @@ class Services:
     changes: Changes
     flights: FlightService
     replanning: Replanning
+    probes: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(2))
     plans: Cache[str, Plan] = field(default_factory=lambda: Cache(16))
 
     @classmethod

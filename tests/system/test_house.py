@@ -135,7 +135,7 @@ SURFACE = {
     ),
     "api.cli": "main",
     "api.processes": "QUICK_MISSION Child ChildError Children home_under python_module start_simulator",
-    "api.rest": "create_app",
+    "api.rest": "BACKLOG Limits connection_class create_app possible_connections",
     "api.rest.schemas": (
         "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE CommandBody "
         "FlightDetail FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "

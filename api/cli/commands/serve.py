@@ -68,7 +68,7 @@ def serve(
         from api.service import configure_logging
 
         configure_logging(settings.log_style, settings.log_level)
-        run(create_app(settings), listener)
+        run(create_app(settings), listener, settings)
 
 
 def _check_store(settings: Settings) -> None:
@@ -147,9 +147,18 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def run(application: ASGIApp, listener: socket.socket) -> None:
+def run(application: ASGIApp, listener: socket.socket, settings: Settings) -> None:
     """Serve until a signal; print the address when ready."""
     import uvicorn
+
+    from api.rest import BACKLOG, Limits, connection_class, possible_connections
+
+    limits = Limits(
+        settings.headers_timeout_s,
+        settings.body_timeout_s,
+        settings.reading_timeout_s,
+        possible_connections(settings.max_connections),
+    )
 
     name, port = listener.getsockname()[:2]
     shown = f"[{name}]" if ":" in name else name
@@ -162,6 +171,8 @@ def run(application: ASGIApp, listener: socket.socket) -> None:
 
     config = uvicorn.Config(
         application,
+        http=connection_class(limits),
+        backlog=BACKLOG,
         log_config=None,
         access_log=False,
         server_header=False,

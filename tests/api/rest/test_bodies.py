@@ -8,8 +8,8 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.support.malformed_missions import GOOD
-from tests.support.rest_client import assert_problem
+from tests.support.missions.malformed import GOOD
+from tests.support.processes.rest_client import assert_problem
 
 STATION = {"lat_deg": 52.9, "lon_deg": 4.8, "alt_amsl_m": 1.0, "range_m": 16000.0}
 WRITES: list[tuple[str, str, Any]] = [

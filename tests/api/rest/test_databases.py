@@ -12,10 +12,10 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.support.cli_process import Server
-from tests.support.malformed_missions import GOOD
-from tests.support.rest_client import assert_problem, wait_for_planning
-from tests.support.store_backends import Backend
+from tests.support.missions.malformed import GOOD
+from tests.support.processes.cli_process import Server
+from tests.support.processes.rest_client import assert_problem, wait_for_planning
+from tests.support.processes.store_backends import Backend
 
 pytestmark = pytest.mark.slow
 

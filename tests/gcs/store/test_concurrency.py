@@ -13,9 +13,9 @@ from gcs.errors import ConflictError, GcsError, StoreUnavailable
 from gcs.mission import read_mission, write_mission
 from gcs.store.missions import Idempotency
 from gcs.store.store import Store
-from tests.support import postgresql
-from tests.support.malformed_missions import GOOD
-from tests.support.store_backends import Backend
+from tests.support.missions.malformed import GOOD
+from tests.support.processes import postgresql
+from tests.support.processes.store_backends import Backend
 
 DOCUMENT = write_mission(read_mission(GOOD))
 HASH = "a" * 64

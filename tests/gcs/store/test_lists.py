@@ -11,7 +11,7 @@ from sqlalchemy import text
 
 from gcs.mission import read_mission, write_mission
 from gcs.store.store import Store
-from tests.support.malformed_missions import GOOD
+from tests.support.missions.malformed import GOOD
 
 DOCUMENT = write_mission(read_mission(GOOD))
 PLAN = {"plan_sha256": "a" * 64, "mission_time_s": 760.25, "handovers": [{}, {}], "padding": "x" * 30_000}

@@ -25,7 +25,7 @@ from gcs.store.store import Store
 from gcs.store.tables import metadata
 from tests.support.missions.malformed import GOOD, GOOD_LOCAL
 from tests.support.paths import ROOT
-from tests.support.store_backends import Backend
+from tests.support.processes.store_backends import Backend
 
 DOCUMENT = write_mission(read_mission(GOOD))
 HASH = "a" * 64

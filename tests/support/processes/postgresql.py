@@ -1,8 +1,8 @@
 """A PostgreSQL server of the tests' own, from the system's packages: on a Unix socket, in a folder that goes with it.
 
-``python -m tests.support.postgresql`` installs the package where that is possible (Debian, as root) and needed;
-anywhere else it says in one line what will be skipped. PostgreSQL refuses to run as root: then it runs as ``postgres``
-or ``nobody``.
+``python -m tests.support.processes.postgresql`` installs the package where that is possible (Debian, as root) and
+needed; anywhere else it says in one line what will be skipped. PostgreSQL refuses to run as root: then it runs as
+``postgres`` or ``nobody``.
 """
 
 from __future__ import annotations
