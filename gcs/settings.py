@@ -97,5 +97,11 @@ class Settings(BaseSettings):
         return re.sub(r"(?<=://)([^:@/]*):[^@]*@", r"\1:***@", self.url)
 
     def prepare(self) -> None:
-        """Make ``data_dir``, for its owner alone. Raises ``OSError``."""
+        """Make ``data_dir``, for its owner alone; one that is there already is closed to others. Raises ``OSError``.
+
+        Plans, contacts and signing keys are in there, and SQLite makes its files as the folder's mask allows.
+        """
         self.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if self.data_dir.stat().st_mode & 0o077:
+            # Only its owner may: for anybody else this is the error that says so.
+            self.data_dir.chmod(0o700)

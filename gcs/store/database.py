@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import sqlite3
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import resources
@@ -35,7 +34,7 @@ class Database:
 
     def __init__(self, url: str, *, lock_timeout_s: float = 5.0) -> None:
         try:
-            parsed = _address(url)
+            parsed = parse_address(url)
             self.is_sqlite = parsed.get_backend_name() == "sqlite"
             self.engine = create_engine(parsed, **_options(parsed, lock_timeout_s))
         except (ArgumentError, NoSuchModuleError, ImportError, ValueError) as error:
@@ -131,39 +130,12 @@ class Database:
         with self.write() as connection:
             connection.execute(text("UPDATE write_probe SET checked_utc = :now WHERE id = 1"), {"now": now})
 
-    def backup_to(self, path: str | Path) -> None:
-        """A consistent copy of a SQLite database, made while it is in use, whole or not at all.
-
-        Raises `StoreUnavailable` for other databases (use their own tools) and when the copy is damaged or cannot be
-        written.
-        """
-        if self.path is None:
-            raise StoreUnavailable("only SQLite is copied from here; use pg_dump for PostgreSQL")
-        target = Path(path)
-        partial = target.with_name(target.name + ".part")
-        partial.unlink(missing_ok=True)
-        try:
-            with (
-                contextlib.closing(sqlite3.connect(self.path)) as source,
-                contextlib.closing(sqlite3.connect(partial)) as copy,
-            ):
-                source.backup(copy)
-                copy.execute("PRAGMA journal_mode=DELETE")
-                verdict = copy.execute("PRAGMA integrity_check").fetchone()[0]
-            if verdict != "ok":
-                raise StoreUnavailable(f"the copy is damaged: {verdict}")
-            partial.replace(target)
-        except (sqlite3.Error, OSError) as error:
-            raise StoreUnavailable(f"cannot copy the database to {target}: {error}") from None
-        finally:
-            partial.unlink(missing_ok=True)
-
     def close(self) -> None:
         """Give back every connection."""
         self.engine.dispose()
 
 
-def _address(url: str) -> URL:
+def parse_address(url: str) -> URL:
     """The parsed address, its driver named. Raises ``ArgumentError``, `StoreUnavailable`."""
     parsed = make_url("postgresql" + url.removeprefix("postgres") if url.startswith("postgres:") else url)
     backend = parsed.get_backend_name()

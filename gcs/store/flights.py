@@ -15,7 +15,8 @@ from sqlalchemy.exc import IntegrityError
 from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.flight import FlightEvent, FlightState
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
+from gcs.store.documents import dump, load_for_list
+from gcs.store.missions import Clock, stored_utc
 from gcs.store.tables import flight_events, flights, mission_versions
 
 log = logging.getLogger(__name__)
@@ -228,4 +229,5 @@ class FlightJournal:
 
 def _record(row: RowMapping) -> FlightRecord:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
-    return FlightRecord(**{**values, "state": FlightState(values["state"]), "document": json.loads(values["document"])})
+    document = load_for_list(values["document"], f"what is kept with flight {values['id']}") or {}
+    return FlightRecord(**{**values, "state": FlightState(values["state"]), "document": document})

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,6 +13,7 @@ from sqlalchemy import Connection, RowMapping, func, insert, select, update
 
 from gcs.errors import ConflictError, NotFoundError, QueueFullError
 from gcs.store.database import Database
+from gcs.store.documents import dump, load, load_for_list
 from gcs.store.tables import flights, idempotency_keys, mission_versions, missions
 from gcs.timestamps import utc_text
 
@@ -59,11 +59,6 @@ class Idempotency:
 def stored_utc(moment: datetime) -> str:
     """A time as the tables keep it, which sorts as text as it does as time."""
     return utc_text(moment, "microseconds")
-
-
-def dump(document: object) -> str:
-    """JSON text of a document."""
-    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
 _RECORD = (
@@ -252,8 +247,7 @@ class MissionStore:
                     mission_versions.c.mission_id == mission_id, mission_versions.c.version == record.version
                 )
             ).scalar_one()
-        loaded: dict[str, Any] | None = None if text is None else json.loads(text)
-        return loaded
+        return None if text is None else load(text, f"the {column} of mission {mission_id}")
 
     def page(
         self, *, limit: int = 50, before: int | None = None, archived: bool = False, status: str | None = None
@@ -334,5 +328,7 @@ class MissionStore:
 def _record(row: RowMapping) -> MissionRecord:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
     found = values["infeasibility"]
-    values["infeasibility"] = None if found is None else json.loads(found)
+    if found is not None:
+        kept = load_for_list(found, f"why mission {values['id']} has no plan")
+        values["infeasibility"] = kept or {"message": "why there is no plan cannot be read any more; plan it again"}
     return MissionRecord(**values)

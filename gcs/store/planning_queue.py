@@ -6,7 +6,6 @@ what is still ``planning`` when its lease has run out belonged to a planner that
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
@@ -14,9 +13,10 @@ from typing import Any
 
 from sqlalchemy import select, update
 
-from gcs.errors import MissionInfeasible
+from gcs.errors import MissionInfeasible, StoreUnavailable
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
+from gcs.store.documents import dump, load
+from gcs.store.missions import Clock, stored_utc
 from gcs.store.tables import mission_versions
 
 
@@ -37,7 +37,19 @@ class PlanningQueue:
         self._clock = clock
 
     def claim(self, owner: str, lease_s: float) -> Claim | None:
-        """Take the version that has waited longest, for ``lease_s`` seconds; None when none waits."""
+        """Take the version that has waited longest, for ``lease_s`` seconds; None when none waits.
+
+        One whose document cannot be read has failed: it must not stand in the way of those behind it.
+        """
+        while (found := self._take(owner, lease_s)) is not None:
+            mission_id, version, text = found
+            try:
+                return Claim(mission_id, version, load(text, f"the document of mission {mission_id}"))
+            except StoreUnavailable as error:
+                self.finish_failed(Claim(mission_id, version, {}), owner, str(error))
+        return None
+
+    def _take(self, owner: str, lease_s: float) -> tuple[str, int, str] | None:
         with self._db.change() as connection:
             found = connection.execute(
                 select(
@@ -67,7 +79,7 @@ class PlanningQueue:
                     changed_utc=stored_utc(now),
                 )
             )
-            return Claim(found.mission_id, found.version, json.loads(found.document))
+            return str(found.mission_id), int(found.version), str(found.document)
 
     def renew(self, owner: str, lease_s: float) -> int:
         """Lengthen every lease of ``owner``; how many there are."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,8 @@ from sqlalchemy import RowMapping, delete, insert, select, update
 
 from gcs.errors import ConflictError, NotFoundError
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
+from gcs.store.documents import dump, load_for_list
+from gcs.store.missions import Clock, stored_utc
 from gcs.store.tables import registry
 
 KINDS = ("station", "vehicle", "link")
@@ -97,4 +97,5 @@ def _check_kind(kind: str) -> None:
 
 def _entry(row: RowMapping) -> Entry:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
-    return Entry(**{**values, "document": json.loads(values["document"])})
+    document = load_for_list(values["document"], f"{values['kind']} {values['id']}") or {}
+    return Entry(**{**values, "document": document})
