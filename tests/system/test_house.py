@@ -110,7 +110,9 @@ SURFACE = {
     "gcs.geodesy": "WGS84_A_M WGS84_E2 Plane",
     "gcs.jobs": "PlanningPool",
     "gcs.layout": "lay_out",
-    "gcs.mission": "Mission MissionOptions parse_mission_json parse_option read_mission with_options write_mission",
+    "gcs.mission": (
+        "Mission MissionOptions parse_mission_json parse_option read_mission station_faults with_options write_mission"
+    ),
     "gcs.plan": "FailsafeReturn Place Plan ReturnRules failsafe_returns read_plan",
     "gcs.planning": "ReplanOrder default_planner plan_mission product_version recertify replan with_costs",
     "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store back_up restore",
