@@ -136,6 +136,13 @@ def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Missi
     )
 
 
+def station_faults(document: object) -> list[InputFault]:
+    """What is wrong with one station on its own, its place in latitude and longitude; by the rules of a mission."""
+    faults = FaultList()
+    _station(Reader(document, "", faults, frozenset((*STATION_FIELDS, *GEO_FIELDS))), local=False)
+    return faults
+
+
 def with_options(mission: Mission, changes: Mapping[str, object]) -> Mission:
     """The same mission with some options (JSON values, by their document names) replaced, and validated again."""
     document = write_mission(mission)
