@@ -11,7 +11,8 @@ from sqlalchemy import Connection, RowMapping, delete, insert, select, update
 
 from gcs.errors import ConflictError, NotFoundError
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
+from gcs.store.documents import dump, load_for_list
+from gcs.store.missions import Clock, stored_utc
 from gcs.store.tables import flights, registry
 
 KINDS = ("station", "vehicle", "link")
@@ -45,7 +46,8 @@ class RegistryStore:
         """
         _check_kind(kind)
         here = (registry.c.kind == kind) & (registry.c.id == entry_id)
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            self._db.lock(connection, kind, entry_id)
             found = connection.execute(select(registry).where(here)).first()
             present = 0 if found is None else int(found.revision)
             if revision is not None and revision != present:
@@ -81,7 +83,7 @@ class RegistryStore:
     def remove(self, kind: str, entry_id: str) -> None:
         """Forget an entry. Raises `NotFoundError`; `ConflictError` for a vehicle in flight, or one of its links."""
         _check_kind(kind)
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             _check_not_in_flight(connection, kind, entry_id)
             gone = connection.execute(
                 delete(registry).where(registry.c.kind == kind, registry.c.id == entry_id)
@@ -109,4 +111,5 @@ def _check_not_in_flight(connection: Connection, kind: str, entry_id: str) -> No
 
 def _entry(row: RowMapping) -> Entry:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
-    return Entry(**{**values, "document": json.loads(values["document"])})
+    document = load_for_list(values["document"], f"{values['kind']} {values['id']}") or {}
+    return Entry(**{**values, "document": document})

@@ -9,10 +9,11 @@ from urllib.parse import quote
 
 import typer
 
-from api.cli.errors import BadInputError, InfeasibleError
+from api.cli.errors import BadInputError, FaultError, InfeasibleError
 
 if TYPE_CHECKING:
     from api.cli.rest_client import ServiceClient
+    from link.streamer import RegisteredFlight
 
 _FRAMES = (("lat_deg", "lon_deg", "alt_amsl_m"), ("east_m", "north_m", "up_m"))
 
@@ -59,17 +60,11 @@ def flight(
     A plan proposed changes nothing until it is accepted: `skyrelay flight ID replan`, then `accept --plan SHA256`.
     """
     from api.cli.commands import local_flight
-    from api.cli.errors import FaultError
     from api.cli.rest_client import RefusedError, ServiceClient
 
     local = local_flight.find(flight_id)
-    if local is not None and command == "attach":
-        return local_flight.attend(local, as_json=as_json)
     if command == "attach":
-        raise BadInputError(
-            "no such flight runs on this machine",
-            {"where": "FLIGHT", "value": flight_id, "fix": "`skyrelay flight` lists those under way"},
-        )
+        return local_flight.attend(local, flight_id, as_json=as_json)
     client = ServiceClient(service.rstrip("/") + "/")
     try:
         # Not by way of a service that does not know it.
@@ -88,15 +83,22 @@ def flight(
     except RefusedError as refusal:
         raise _refused(refusal.status, refusal.problem) from None
     except FaultError as fault:
-        # A service that is away takes no command from an operator: the flight itself is on this machine.
-        if local is not None:
-            answer, text = local_flight.command(local, command, {"by": by, "reason": reason})
-        elif flight_id is None and (here := local_flight.listed(set())):
-            answer, text = {"items": here}, "\n".join(map(_local_line, here)) + f"\n({fault.headline})"
-        else:
-            raise
+        answer, text = _without_service(local, flight_id, command, {"by": by, "reason": reason}, fault)
     typer.echo(json.dumps(answer, indent=1) if as_json else text)
     return 0
+
+
+def _without_service(
+    local: RegisteredFlight | None, flight_id: str | None, command: str, given: Mapping[str, Any], fault: FaultError
+) -> tuple[Any, str]:
+    """What can be said where the service is away and the flight itself is on this machine; else raises ``fault``."""
+    from api.cli.commands import local_flight
+
+    if local is not None:
+        return local_flight.command(local, command, given)
+    if flight_id is None and (here := local_flight.listed(set())):
+        return {"items": here}, "\n".join(map(_local_line, here)) + f"\n({fault.headline})"
+    raise fault
 
 
 def _local_line(one: Mapping[str, Any]) -> str:

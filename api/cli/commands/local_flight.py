@@ -83,13 +83,18 @@ def shown(one: RegisteredFlight, status: Mapping[str, Any]) -> str:
     return f"flight {one.flight_id}: {view.where(status['t_plus_s'], status['state'], status)}"
 
 
-def attend(one: RegisteredFlight, *, as_json: bool) -> int:
+def attend(one: RegisteredFlight | None, flight_id: str | None, *, as_json: bool) -> int:
     """Show a flight until it ends; Ctrl-C or a lost terminal leaves it, and it flies on. Its own exit code."""
     from api.cli.commands.flight_view import FlightView
     from api.cli.errors import Terminated
     from link.errors import SupervisorError
     from link.streamer import attach
 
+    if one is None:
+        raise BadInputError(
+            "no such flight runs on this machine",
+            {"where": "FLIGHT", "value": flight_id, "fix": "`skyrelay flight` lists those under way"},
+        )
     with Progress() as progress:
         view = FlightView(_plan(one), progress)
 
