@@ -108,8 +108,8 @@ def attend(one: RegisteredFlight | None, flight_id: str | None, *, as_json: bool
             flight = attach(Path(one.run_dir), on_event=on_event)
         except SupervisorError as error:
             raise FaultError("the flight cannot be reached", {"what": str(error)}) from None
-        progress.note(f"attending flight {one.flight_id}; Ctrl-C leaves it, and it flies on")
         try:
+            progress.note(f"attending flight {one.flight_id}; Ctrl-C leaves it, and it flies on")
             return flight.wait().exit_code
         except (KeyboardInterrupt, Terminated):
             flight.detach()

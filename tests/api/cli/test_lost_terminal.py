@@ -133,9 +133,10 @@ def test_a_killed_streamers_vehicle_says_who_locked_it_and_is_given_back(
     vehicle: Simulator, plan_file: Path, here: Path
 ) -> None:
     process = fly(plan_file, vehicle)
-    until(process, "ready")
+    assert process.stdout is not None
+    # Locked, and not armed yet.
+    assert any(json.loads(line)["data"].get("name") == "MAV_OPTIONS" for line in process.stdout)
     (one,) = registered_flights()
-    time.sleep(0.5)
     os.kill(one.pid, signal.SIGKILL)
     out, complaint = process.communicate(timeout=60)
     last = json.loads(out.splitlines()[-1])
@@ -145,12 +146,8 @@ def test_a_killed_streamers_vehicle_says_who_locked_it_and_is_given_back(
     assert any("MAV_OPTIONS (was 0)" in text for text in last["data"]["keeps"])
     url = one.urls[0]
     told = json.loads(run_process("vehicle", "identify", "--link", url, "--json").out)
-    if not told["armed"]:
-        assert (told["locked"], told["answers"], told["signed"]) == (True, False, False)
-        done = run_process("vehicle", "restore", "--link", url)
-    else:
-        assert run_process("vehicle", "restore", "--link", url).code == 2
-        done = run_process("vehicle", "restore", "--link", url, "--ids-while-armed")
+    assert (told["armed"], told["locked"], told["answers"], told["signed"]) == (False, True, False, False)
+    done = run_process("vehicle", "restore", "--link", url)
     assert (done.code, "given back" in done.out) == (0, True), done.err + done.out
     after = json.loads(run_process("vehicle", "identify", "--link", url, "--json").out)
     assert (after["locked"], after["answers"]) == (False, True)
