@@ -38,7 +38,7 @@ BANNED = {
 
 LEVELS = {
     "planner": (
-        ("errors", "arrays", "remedy", "bezier", "problem", "trajectory", "speed_profile"),
+        ("errors", "arrays", "remedy", "bezier", "problem", "trajectory", "speed_profile", "airspeed"),
         ("coverage",),
         ("certificate", "energy", "solution", "infeasibility"),
         ("routing", "corridor"),
