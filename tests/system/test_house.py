@@ -38,7 +38,7 @@ BANNED = {
 
 LEVELS = {
     "planner": (
-        ("errors", "arrays", "remedy", "bezier", "problem", "trajectory", "speed_profile", "airspeed"),
+        ("errors", "arrays", "remedy", "bezier", "problem", "airspeed", "trajectory", "speed_profile"),
         ("coverage",),
         ("certificate", "energy", "solution", "infeasibility"),
         ("routing", "corridor"),

@@ -106,6 +106,18 @@ class OptionsBody(Open):
     min_overlap_s: float = Field(5.0, description="Around every handover both stations cover the vehicle so long.")
     range_margin_m: float = Field(25.0, description="Taken off every range.")
     min_tenure_s: float = Field(10.0, description="Least time a station is in control, where there are several.")
+    handover_tolerance: float = Field(
+        0.001,
+        ge=0,
+        le=1,
+        description="Part of the mission time, and at least 1 s, given up for fewer handovers. "
+        "0 asks for the fastest plan, and is the default where min_overlap_s is 0.",
+    )
+    overlap_target_s: Literal["auto"] | float = Field(
+        "auto",
+        description="The overlap aimed at wherever it costs at most 0.1 % of the mission time, and at least 1 s, each; "
+        "auto: enough after a handover to notice a failed station and to stop, nothing where handover_tolerance is 0.",
+    )
     vehicle_system_id: int = Field(1, ge=1, le=255)
     on_arrival: Literal["land", "hold"] = "land"
     excluded_stations: list[str] = Field(default_factory=list)
@@ -251,3 +263,8 @@ class PlanBody(Open):
     handovers: list[dict[str, Any]]
     contingencies: list[dict[str, Any]]
     certificate: dict[str, Any] = Field(description="feasible, and the worst signed excess of every limit.")
+    fastest: dict[str, float] | None = Field(
+        None,
+        description="mission_time_s and handovers of the fastest plan found, where this one has fewer, and what "
+        "fewer cost; absent otherwise.",
+    )

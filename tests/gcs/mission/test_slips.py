@@ -15,7 +15,7 @@ from gcs.exports.handovers import utc_at
 from gcs.mission import parse_mission_json, read_mission, with_options
 from gcs.planning.certification import recertify
 from gcs.planning.mission_planning import plan_mission
-from tests.support.missions.field import field_mission, text_of
+from tests.support.field_missions import field_mission, text_of
 from tests.support.missions.infeasible import local, wgs84
 
 

@@ -18,7 +18,7 @@ from gcs.mission import read_mission
 from gcs.plan import Plan
 from gcs.planning.mission_planning import plan_mission
 from tests.support.checker import check_plan
-from tests.support.missions.field import field_mission
+from tests.support.field_missions import field_mission
 
 METRES_A_DEGREE = 111_200.0
 

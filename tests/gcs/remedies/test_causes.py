@@ -11,7 +11,7 @@ from gcs.errors import MissionInfeasible
 from gcs.mission import read_mission
 from gcs.planning.mission_planning import plan_mission
 from gcs.remedies.trial import is_linked
-from tests.support.missions.field import field_mission
+from tests.support.field_missions import field_mission
 from tests.support.missions.infeasible import local
 from tests.support.remedies import apply, remedies
 
