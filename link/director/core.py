@@ -24,6 +24,7 @@ from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
+from link.monitors.one_vehicle import Claim, OneVehicle
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
@@ -40,7 +41,7 @@ class FlightCore:
 
     ``codecs`` gives each station its codec (default: unsigned, the plan's system ids). ``now_s`` is the flight's clock
     at the start, ``epoch_unix_s`` what it is in UTC at 0. ``on_frame(now_s, frame)`` is told every frame sent and every
-    message heard, in order. A core is used by one thread.
+    message heard, in order. ``claim`` holds the vehicle against other programs. A core is used by one thread.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class FlightCore:
         now_s: float = 0.0,
         epoch_unix_s: float = 0.0,
         on_frame: OnFrame | None = None,
+        claim: Claim | None = None,
     ) -> None:
         own = {station: StationCodec(system_id) for station, system_id in request.system_ids.items()}
         self.codecs = own if codecs is None else dict(codecs)
@@ -61,7 +63,8 @@ class FlightCore:
         send, encoding = flight.control.gate.send, flight.vehicle.profile.parameter_encoding
         self.parameters = ParameterClient(send, flight.vehicle.system_id, encoding)
         self.missions = MissionClient(send)
-        self.launch = Launch(flight, self.parameters, self.missions)
+        self.one_vehicle = OneVehicle(flight, self.parameters, claim)
+        self.launch = Launch(flight, self.parameters, self.missions, self.one_vehicle)
         self.airborne = Airborne(flight)
         self.links = LinkUpkeep(flight, self.airborne)
         self.announcer = Announcer(flight, self.airborne)
@@ -91,17 +94,22 @@ class FlightCore:
         timeline, monitor = self._timeline, self._vehicle.monitor
         timeline.now_s = max(timeline.now_s, now_s)
         url = url or monitor.links[station_id].paths[0].url
-        for message in self._decoders[url].decode(data):
+        decoder = self._decoders[url]
+        for message in decoder.decode(data):
+            self.one_vehicle.heard(message.get_srcSystem(), message.get_srcComponent(), bytes(message.get_msgbuf()))
             if self._on_frame is not None:
                 self._on_frame(timeline.now_s, bytes(message.get_msgbuf()))
             heard = [monitor.receive(timeline.now_s, station, message, url) for station in self._sharing[url]]
             if any(heard):
                 self._pass_on(message)
+        while decoder.returned:
+            self.one_vehicle.heard(decoder.system_id, decoder.component_id, decoder.returned.popleft())
 
     def _pass_on(self, message: Any) -> None:
         """An answer of the vehicle, to whoever asked."""
         kind, now_s, manager = message.get_type(), self._timeline.now_s, self._control.id_manager
         if kind == "COMMAND_ACK":
+            self.one_vehicle.on_ack(message)
             self._control.commander.on_ack(now_s, message)
         elif kind == "PARAM_VALUE":
             parameter = self.parameters.on_value(message)
@@ -137,6 +145,7 @@ class FlightCore:
         for severity, text in self._vehicle.monitor.take_texts():
             self._timeline.emit(EventKind.TEXT, severity=severity, text=text)
         if not self.finished:
+            self.one_vehicle.update()
             self.announcer.update()
 
     def routes(self, station_id: str, frame: bytes) -> tuple[str, ...]:
@@ -149,8 +158,9 @@ class FlightCore:
     def take_outgoing(self) -> list[tuple[str, bytes]]:
         """Frames to send now, in order, each with its station."""
         outgoing = [(sender.station_id, frame) for sender, frame in self._control.gate.take_outgoing()]
-        if self._on_frame is not None:
-            for _, frame in outgoing:
+        for _, frame in outgoing:
+            self.one_vehicle.sent(frame)
+            if self._on_frame is not None:
                 self._on_frame(self._timeline.now_s, frame)
         return outgoing
 

@@ -22,6 +22,7 @@ from link.microservices.command import Ticket
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
+from link.monitors.one_vehicle import OneVehicle
 from link.preflight.check import Check, Level, worst, worst_first
 from link.preflight.failsafe_return import judge_failsafe_return, return_rules
 from link.preflight.geofence import judge_limits
@@ -64,13 +65,16 @@ STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
 class Launch:
     """The procedure on the ground and the climb. ``commanded``: whether the operator has said to go."""
 
-    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
+    def __init__(
+        self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient, one_vehicle: OneVehicle
+    ) -> None:
         self._flight = flight
         self._request = flight.request
         self._timeline = flight.timeline
         self._vehicle = flight.vehicle
         self._control = flight.control
         self.parameters = parameters
+        self._one = one_vehicle
         self.borrowed = BorrowedSettings(flight, parameters, missions)
         self.values: dict[str, Parameter | None] = {}
         self.asking = Asking()
@@ -127,16 +131,16 @@ class Launch:
     def _identify(self) -> Steps[None]:
         vehicle, control = self._vehicle, self._control
         self._timeline.become(FlightState.IDENTIFYING)
+        first = self._flight.plan.station_ids[0]
         yield from self._break_in()
+        yield from self._one.identify(first)
+        # Before anything is changed on it: on another flight it must not notice this one.
+        self._one.claim()
         yield from self.request_streams()
-        yield from self._ask_for_message(
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, lambda: vehicle.monitor.version is not None, 5.0
-        )
         if vehicle.monitor.version is not None:
             capabilities = int(vehicle.monitor.version.capabilities)
             self.parameters.encoding = encoding_of(capabilities, vehicle.profile.parameter_encoding)
         # The EKF lays its origin once it has a position: on a cold vehicle that takes most of a minute.
-        first = self._flight.plan.station_ids[0]
         known = yield from self._ask_for_message(
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
             lambda: vehicle.monitor.links[first].origin is not None and vehicle.monitor.position is not None,
@@ -147,7 +151,7 @@ class Launch:
                 f"no position and EKF origin in {self._request.arm_timeout_s:g} s: does the vehicle have satellites?"
             )
         vehicle.origin = vehicle.monitor.links[first].origin
-        for station in dict.fromkeys(self._flight.plan.station_ids):
+        for station in self._request.stations:
             # Every link in turn, in control for a moment, still on the ground: what it will carry is tried now.
             if station != first and self._link_works(station):
                 control.grant(station, "link check on the ground")
@@ -156,6 +160,7 @@ class Launch:
                     lambda s=station: vehicle.monitor.links[s].origin is not None,  # type: ignore[misc]
                     3.0,
                 )
+                yield from self._one.identify(station)
         control.grant(first, "first station")
 
     def _break_in(self) -> Steps[None]:
@@ -218,6 +223,7 @@ class Launch:
             raise Refused("preflight: " + "; ".join(_said(check) for check in worst_first(checks) if check.blocks))
         vehicle.loss_timeout_s = self._loss_timeout_s()
         self._passed_s = timeline.now_s
+        self._one.passed()
         timeline.become(FlightState.READY, "preflight passed")
 
     @property
@@ -249,6 +255,7 @@ class Launch:
         told = None if unix is None else (unix[0], self._timeline.utc.unix_s(unix[1]))
         return [
             *judge_identity(vehicle.profile, identity, heartbeat.vehicle_type),
+            *self._one.judge(),
             *judge_vehicle(
                 armed=heartbeat.armed,
                 landed_state=vehicle.monitor.landed_state,
@@ -368,12 +375,19 @@ class Launch:
 
     def _wait_for_command(self) -> Steps[None]:
         timeline = self._timeline
-        if not (yield from wait_until(timeline, lambda: self.commanded, self._request.launch_timeout_s)):
+        # A reason against the launch ends the waiting: nobody is to rely on a preflight that no longer holds.
+        said = lambda: self.commanded or bool(self._one.hindrance())  # noqa: E731
+        if not (yield from wait_until(timeline, said, self._request.launch_timeout_s)):
             yield from self.restore()
             raise Refused(f"no word to launch in {self._request.launch_timeout_s:g} s")
         age_s = self.preflight_age_s
-        if age_s is None or age_s >= PREFLIGHT_VALID_S:
+        if self.commanded and (age_s is None or age_s >= PREFLIGHT_VALID_S):
             yield from self._preflight()
+        try:
+            yield from self._one.look_again()
+        except Refused:
+            yield from self.restore()
+            raise
 
     def _command(self, name: str, command: int, params: tuple[Any, ...]) -> Steps[Ticket]:
         ticket = yield from answered(self._control.start_command(name, command, tuple(float(p) for p in params)))

@@ -46,7 +46,7 @@ class FlightContext:
         profile = PROFILES[request.autopilot]
         timeline = Timeline(UtcScale(epoch_unix_s), now_s)
         own_ids = frozenset(system_ids.values()) | {vehicle_id}
-        monitor = VehicleMonitor(request.stations, vehicle_id, own_ids, request.urls)
+        monitor = VehicleMonitor(request.stations, vehicle_id, own_ids, request.urls, speedup=request.speedup)
         vehicle = Vehicle(profile, monitor, plan.plane)
         gate = TransmitterGate(
             {station: codec.encode for station, codec in codecs.items()},

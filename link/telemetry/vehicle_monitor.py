@@ -16,6 +16,7 @@ from typing import Any
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AUTOPILOT_COMPONENT
 from link.dialect import mavlink
+from link.telemetry.board import BoardWatch
 from link.telemetry.station_link import StationLink
 
 REBOOT_BACK_S = 3.0
@@ -83,6 +84,8 @@ class VehicleMonitor:
         vehicle_system_id: int,
         own_system_ids: frozenset[int],
         urls: Mapping[str, Sequence[str]] | None = None,
+        *,
+        speedup: float = 1.0,
     ) -> None:
         self.vehicle_system_id = vehicle_system_id
         self.links = {station: StationLink(station, (urls or {}).get(station, ("",))) for station in stations}
@@ -98,6 +101,7 @@ class VehicleMonitor:
         self.target: Any = None
         self.target_s = -math.inf
         self.reboots = 0
+        self.board = BoardWatch(speedup)
         self.foreign_stations: dict[int, float] = {}
         self._own = own_system_ids
         self._boot_ms = -1
@@ -126,8 +130,14 @@ class VehicleMonitor:
         link = self.links[station_id]
         path = link.path(url)
         path.heard(now_s, message.get_seq())
+        self.board.on_frame(now_s, path.url, message)
+        if kind == "AUTOPILOT_VERSION":
+            self.board.on_version(path.url, message)
         if kind == "TIMESYNC":
             if message.tc1 != 0:
+                sent_s = path.probe_sent_s(message.ts1)
+                if sent_s is not None:
+                    self.board.on_timesync(now_s, sent_s, message.tc1)
                 path.answered(message.ts1, now_s)
             return True
         fresh = self._in_order(now_s, getattr(message, "time_boot_ms", None))
