@@ -21,7 +21,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from gcs.errors import StoreUnavailable
 
 # The newest migration in gcs/store/migrations/versions.
-HEAD = "0001"
+HEAD = "0003"
 _WRITE = "skyrelay_write"
 
 

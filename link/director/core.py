@@ -359,6 +359,7 @@ class FlightCore:
             "utc": timeline.utc.text(timeline.now_s),
             "t_plus_s": None if timeline.t_plus_s is None else round(timeline.t_plus_s, 3),
             "plan_sha256": self.context.plan.plan_sha256,
+            "vehicle_identity": self.one_vehicle.identity,
             "preflight_id": self.launch.preflight_id,
             "preflight_age_s": None if age_s is None else round(age_s, 1),
             "fence": None if grant is None else grant.number,

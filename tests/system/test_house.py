@@ -113,7 +113,7 @@ SURFACE = {
     "gcs.mission": "Mission MissionOptions parse_mission_json parse_option read_mission with_options write_mission",
     "gcs.plan": "FailsafeReturn Place Plan ReturnRules failsafe_returns read_plan",
     "gcs.planning": "ReplanOrder default_planner plan_mission product_version recertify replan with_costs",
-    "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store",
+    "gcs.store": "DataOwner Entry FlightRecord Idempotency MissionRecord Store",
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
     "link.director": "PREFLIGHT_VALID_S judge_next",

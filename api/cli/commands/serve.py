@@ -74,11 +74,12 @@ def serve(
 def _check_store(settings: Settings) -> None:
     """Open the store once before the service does, so that what is wrong with it is said in one block."""
     from gcs.errors import StoreUnavailable
-    from gcs.store import Store
+    from gcs.store import DataOwner, Store
 
     fix = "name another place with --data, or restore a safety copy"
     try:
         settings.prepare()
+        DataOwner(settings.data_dir).close()
         Store(settings.url, lock_timeout_s=settings.lock_timeout_s).close()
     except OSError as error:
         what = error.strerror or str(error)

@@ -86,7 +86,7 @@ def test_migrations_make_the_tables_the_code_speaks_of(store: Store) -> None:
 def test_opening_again_changes_nothing(url: str, store: Store) -> None:
     mission_id = planned(store)
     with Store(url) as again:
-        assert again.database.revision() == "0001"
+        assert again.database.revision() == "0003"
         assert again.missions.plan(mission_id) == {"plan_sha256": HASH, "x": 1.0000000000000002}
 
 
