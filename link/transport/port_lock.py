@@ -44,9 +44,13 @@ class LinkLocks:
 
 
 class VehicleLock:
-    """The vehicle of a flight, held against every other program of this machine."""
+    """The vehicle of a flight, held against every other program of this machine.
 
-    def __init__(self) -> None:
+    ``realm`` sets flights apart that are none of this world's: those of tests.
+    """
+
+    def __init__(self, realm: str = "") -> None:
+        self._realm = realm
         self._held: dict[str, MachineLock] = {}
 
     def claim(self, system_id: int, unique_id: str | None) -> str:
@@ -80,7 +84,7 @@ class VehicleLock:
         for name in names:
             if name in self._held:
                 continue
-            taken = MachineLock.take(name)
+            taken = MachineLock.take(self._realm + name)
             if isinstance(taken, Holder):
                 return taken.text
             self._held[name] = taken

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from typing import Any
 
@@ -107,7 +108,7 @@ def test_a_vehicle_in_flight_is_refused_to_another_program_of_the_machine(autopi
     """Other URLs, other ports: the vehicle's own identity decides. And nothing of the first flight is touched."""
     sky = SharedSky(relay_plan(2), autopilot)
     sky.vehicle()
-    locks = [VehicleLock(), VehicleLock()]
+    locks = [VehicleLock(f"test {os.getpid()}") for _ in range(2)]
     first = sky.program(claim=locks[0].claim)
     second = sky.program(claim=locks[1].claim, start_s=25.0)
     sky.run()
@@ -250,7 +251,7 @@ def two_programs(seed: int) -> None:
     lossy = Proxy(seed=seed, loss=0.1, latency_s=0.05, jitter_s=0.05, duplicates=0.1)
     sky = SharedSky(relay_plan(2), autopilot, draw.choice([Proxy(), lossy]))
     sky.vehicle(uid=draw.choice(["", "none"]))
-    locks = [VehicleLock(), VehicleLock()]
+    locks = [VehicleLock(f"test {os.getpid()}") for _ in range(2)]
     starts = [0.0, draw.choice([0.0, draw.uniform(0.0, 1.0), draw.uniform(0.0, 40.0)])]
     ways = [{"handover_way": draw.choice(["auto", "gate"])} for _ in range(2)]
     programs = [sky.program(start_s=starts[k], claim=locks[k].claim, **ways[k]) for k in range(2)]
