@@ -69,7 +69,7 @@ class LostC2Link:
     def tick(self) -> float | None:
         """One tick; the time of the plan to join, once back in."""
         timeline, vehicle = self._timeline, self._vehicle
-        if vehicle.disarmed_since(self._since_s):
+        if vehicle.down_since(self._since_s):
             ended = FlightState.CONTINGENCY if vehicle.on_ground else FlightState.LOST
             self.ended = (ended, "the vehicle disarmed by itself")
             return None
@@ -126,8 +126,10 @@ class LostC2Link:
     def _enter(self) -> Steps[float]:
         timeline, vehicle, control = self._timeline, self._vehicle, self._control
         here = vehicle.position_enu_m()
-        if here is None or vehicle.monitor.position is None or timeline.now_s - vehicle.monitor.position.heard_s > 2.0:
+        if here is None:
             raise _NoWayBack("no fresh position")
+        if vehicle.doubt:
+            raise _NoWayBack(vehicle.doubt)
         leg, join_s = self._where(np.array(here))
         station = self._flight.plan.station_ids[leg]
         self._chain.leg = leg

@@ -17,6 +17,7 @@ from link.preflight.check import Check, Level
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps, wait_until
 from link.telemetry.board import SentFrames
+from link.wire.codec import StationCodec
 
 ASK_WAIT_S = 2.0
 FIRST_ASK_S = 5.0
@@ -70,11 +71,15 @@ class OneVehicle:
         link.active = sends
 
     def _ask(self, url: str, wait_s: float) -> Steps[None]:
-        board, deadline_s = self._vehicle.monitor.board, self._timeline.now_s + wait_s
-        while url not in board.answers and self._timeline.now_s < deadline_s:
+        board, asked_s = self._vehicle.monitor.board, self._timeline.now_s
+
+        def answered() -> bool:
+            return board.answered_s.get(url, -math.inf) >= asked_s
+
+        while not answered() and self._timeline.now_s < asked_s + wait_s:
             ticket = self._control.start_command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,), attempts=2)
-            yield from wait_until(self._timeline, lambda t=ticket: url in board.answers or t.finished, 1.0)  # type: ignore[misc]
-            yield from wait_until(self._timeline, lambda: url in board.answers, 0.5)
+            yield from wait_until(self._timeline, lambda t=ticket: answered() or t.finished, 1.0)  # type: ignore[misc]
+            yield from wait_until(self._timeline, answered, 0.5)
             self._control.commander.cancel(ticket)
 
     def claim(self) -> None:
@@ -159,26 +164,24 @@ class OneVehicle:
             return f"two autopilots speak as system {monitor.vehicle_system_id}: {monitor.board.two_boards}"
         if commands := self._who_commands():
             return commands
-        if vehicle.armed or monitor.landed_state not in (0, mavlink.MAV_LANDED_STATE_ON_GROUND):
+        if vehicle.armed or vehicle.landed_state not in (0, mavlink.MAV_LANDED_STATE_ON_GROUND):
             return "the vehicle was armed or took off after the preflight, and not by this flight"
         return ""
 
-    def look_again(self) -> Steps[None]:
+    def look_again(self, restore: Callable[[], Steps[None]]) -> Steps[None]:
         """Look at the vehicle once more before it is armed. Raises `Refused` where it is not as it was judged."""
         if self._heard_ids:
             again = self._parameters.read(list(self._heard_ids), self._control.in_force)
             yield from wait_until(self._timeline, lambda: all(one.finished for one in again), 10.0)
-        changed = self._ids_changed()
-        mode = self._vehicle.mode
-        if why := self.hindrance():
+        why = self.hindrance()
+        if not why and self._vehicle.mode != self._mode:
+            moved = f"the vehicle's mode went from {self._mode} to {self._vehicle.mode}"
+            why = f"{moved} after the preflight, and not by this flight: somebody else commands it; begin anew"
+        if not why and (changed := self._ids_changed()):
+            why = f"another station changed whom the vehicle hears after the preflight: {changed}; begin anew"
+        if why:
+            yield from restore()
             raise Refused(why)
-        if mode != self._mode:
-            raise Refused(
-                f"the vehicle's mode went from {self._mode} to {mode} after the preflight, and not by this flight: "
-                "somebody else commands it; begin anew"
-            )
-        if changed:
-            raise Refused(f"another station changed whom the vehicle hears after the preflight: {changed}; begin anew")
 
     def _ids_changed(self) -> str:
         now = self._ids_heard()
@@ -192,13 +195,18 @@ class OneVehicle:
         """A frame of ours leaves."""
         self._frames.sent(self._timeline.now_s, frame)
 
-    def heard(self, system_id: int, component_id: int, frame: bytes) -> None:
+    def heard(self, system_id: int, component_id: int, frame: bytes | bytearray) -> None:
         """A frame of any sender came in."""
         ours = system_id in self._own or (
             system_id == self._vehicle.system_id and component_id == GROUND_STATION_COMPONENT
         )
-        if ours and not self._frames.ours(frame):
+        if ours and not self._frames.ours(bytes(frame)):
             self._own_id_misused[system_id] = self._timeline.now_s
+
+    def reflected(self, decoder: StationCodec) -> None:
+        """Frames that a decoder holds for its own station's."""
+        while decoder.returned:
+            self.heard(decoder.system_id, decoder.component_id, decoder.returned.popleft())
 
     def on_ack(self, ack: Any) -> None:
         """A COMMAND_ACK of the vehicle: one to us that answers nothing of ours is an answer to somebody else."""

@@ -95,6 +95,8 @@ class BoardWatch:
     def __init__(self, tolerance: float = 1.0) -> None:
         self.answers: dict[str, set[str | None]] = {}
         """Unique ids told, by the URL of the link they came over; None where an answer told none."""
+        self.answered_s: dict[str, float] = {}
+        """When the last answer came over each link."""
         self.two_boards = ""
         """Why there are two; empty while nothing says so. Once said it stays."""
         self._tolerance = max(1.0, tolerance)
@@ -112,8 +114,9 @@ class BoardWatch:
     def _told(self) -> set[str]:
         return {one for answers in self.answers.values() for one in answers if one is not None}
 
-    def on_version(self, url: str, message: Any) -> None:
+    def on_version(self, now_s: float, url: str, message: Any) -> None:
         """An AUTOPILOT_VERSION over a link."""
+        self.answered_s[url] = now_s
         self.answers.setdefault(url, set()).add(board_id(message))
         told = self._told()
         if len(told) > 1:

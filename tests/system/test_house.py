@@ -162,9 +162,7 @@ LONG_FUNCTIONS: dict[str, str] = {
 }
 """Functions of more than sixty lines, each with its reason: tables, and wiring told from beginning to end."""
 
-FULL_FOLDERS: dict[str, str] = {
-    "link/director": "a procedure each, from launch to landing, beside the core that runs them",
-}
+FULL_FOLDERS: dict[str, str] = {}
 """Folders of more than twelve modules, each with its reason."""
 
 
