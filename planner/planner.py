@@ -22,7 +22,7 @@ from planner.energy import cost_s, slowed_to_save
 from planner.errors import InfeasibleError, SolverError
 from planner.infeasibility.explanation import infeasibility_of
 from planner.infeasibility.limit_faults import no_way_from_moving_start, too_long
-from planner.joint.sequence_planner import Attempt, Effort, plan_joint
+from planner.joint.sequence_planner import Attempt, Effort, plan_joint, within_limits
 from planner.paper.alternating import plan_paper
 from planner.problem import Problem
 from planner.routing.bound import LowerBound, lower_bound
@@ -202,6 +202,9 @@ def plan_alternating(
     except SolverError:
         return None
     trajectory = slowed_to_save(problem, solution.trajectory, energy_weight)
+    if problem.wind is not None:
+        # The method knows of one wind alone.
+        trajectory = within_limits(problem, corridor, trajectory)
     return Attempt(
         tuple(sequence),
         trajectory,

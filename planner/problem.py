@@ -6,6 +6,7 @@ Whoever makes a `Problem` has laid the earth out flat and taken margins off; her
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -49,6 +50,14 @@ class Limits:
             raise ProblemError(f"wind_m_s must be two finite numbers (east, north), not {self.wind_m_s}")
 
 
+class WindField(Protocol):
+    """A wind that is not the same everywhere."""
+
+    def at(self, points_m: Array) -> Array:
+        """``(..., 2)``: where the air goes to, east and north, at points ``(..., 3)`` of the plane."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A planning problem in the plane: metres (east, north, altitude), seconds.
@@ -65,6 +74,8 @@ class Problem:
     below 90; `UNMASKED_DEG` for a station without that limit (angles between would make the range bulge inwards).
     ``start_velocity_m_s``, ``start_acceleration_m_s2`` ``(3,)``: state at T+0, at rest unless replanning.
 
+    ``wind``: the wind from place to place, where ``limits.wind_m_s`` is only what it is like on the whole.
+
     Raises `ProblemError` for shapes that do not fit and numbers that are not finite.
     """
 
@@ -79,6 +90,7 @@ class Problem:
     bound_ranges_m: Array | None = None
     bound_speed_factor: float = 1.0
     min_elevation_deg: Array | None = None
+    wind: WindField | None = None
     start_velocity_m_s: Array = field(default_factory=lambda: np.zeros(3))
     start_acceleration_m_s2: Array = field(default_factory=lambda: np.zeros(3))
 

@@ -25,11 +25,13 @@ def summary(plan: Plan) -> str:
     """Time against the bound, way, stations, what is left of every limit, how it was made, notes."""
     mission, bound = plan.mission, plan.lower_bound_s
     over = 100.0 * (plan.mission_time_s / bound - 1.0) if bound > 0 else 0.0
+    against = f"{over:.1f} % over {bound:.1f} s, which no flight can beat"
+    if bound <= 0:
+        against = "start and destination are one place: there is no way to fly"
     options = mission.options
     lines = [
         mission.name,
-        f"  mission time  {clock(plan.mission_time_s)} ({plan.mission_time_s:.1f} s), "
-        f"{over:.1f} % over {bound:.1f} s, which no flight can beat",
+        f"  mission time  {clock(plan.mission_time_s)} ({plan.mission_time_s:.1f} s), {against}",
         f"  way           {plan.path_length_m / 1000.0:.2f} km",
         f"  stations      {' > '.join(plan.station_ids)}  ({len(plan.handovers)} handovers)",
     ]

@@ -131,7 +131,10 @@ class MissionOptions:
 
 @dataclass(frozen=True)
 class Mission:
-    """Start, destination, stations, limits and options. ``origin`` is given in a local mission, None otherwise."""
+    """Start, destination, stations, limits and options. ``origin`` is given in a local mission, None otherwise.
+
+    ``left_out`` are ids of stations of the document that are too far from the start to matter, and not among these.
+    """
 
     start: Position
     destination: Position
@@ -141,6 +144,7 @@ class Mission:
     safe_points: tuple[SafePoint, ...] = ()
     options: MissionOptions = field(default_factory=MissionOptions)
     origin: GeoPosition | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def frame(self) -> str:
@@ -161,3 +165,11 @@ class Mission:
         )
         stations = tuple(replace(s, system_id=i) for s, i in zip(self.stations, assigned, strict=True))
         return replace(self, stations=stations)
+
+
+def amsl_m(mission: Mission, position: Position) -> float:
+    """A position's altitude above mean sea level, in whichever frame it is."""
+    if isinstance(position, GeoPosition):
+        return position.alt_amsl_m
+    assert mission.origin is not None
+    return mission.origin.alt_amsl_m + position.up_m

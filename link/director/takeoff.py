@@ -41,11 +41,11 @@ class TakeOff:
     def run(self, ground_amsl_m: float) -> Steps[None]:
         """All of it, from the ground at that altitude. Raises `Refused` while the vehicle is on the ground."""
         if self._vehicle.profile.climbs_by_command:
-            yield from self._ardupilot(ground_amsl_m)
+            yield from self._climb_by_command(ground_amsl_m)
         else:
-            yield from self._px4(ground_amsl_m)
+            yield from self._climb_by_setpoints(ground_amsl_m)
 
-    def _ardupilot(self, ground_amsl_m: float) -> Steps[None]:
+    def _climb_by_command(self, ground_amsl_m: float) -> Steps[None]:
         timeline, vehicle = self._timeline, self._vehicle
         yield from self._enter(vehicle.profile.offboard_mode, None)
         yield from self._arm(None)
@@ -76,7 +76,7 @@ class TakeOff:
             return False
         return abs(here[2] - up_m) <= SETTLED_M and abs(position.velocity_ned_m_s[2]) <= SETTLED_M_S
 
-    def _px4(self, ground_amsl_m: float) -> Steps[None]:
+    def _climb_by_setpoints(self, ground_amsl_m: float) -> Steps[None]:
         timeline, vehicle, control = self._timeline, self._vehicle, self._control
         here = yield from self._place()
         up_m = float(self._flight.plan.trajectory.evaluate(0.0)[2])

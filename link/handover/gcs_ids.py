@@ -78,12 +78,13 @@ def wanted(system_ids: Mapping[str, int], before: GcsIds) -> GcsIds:
 def writes(before: GcsIds, after: GcsIds) -> list[tuple[str, int]]:
     """The writes ``(key, value)`` that lead from one to the other.
 
-    Enforcement goes off before anything else changes, and on after everything has; HI goes before SYSID. A writer
+    Enforcement goes off before anything else changes, and on after everything has. HI goes before SYSID, but after it
+    where one id alone is to be left: HI at or below SYSID means SYSID alone, which then is still the old one. A writer
     inside both ranges, or without enforcement, is heard throughout.
     """
-    order = ("gcs_system_id_high", "gcs_system_id", "enforce_gcs")
-    if not after.options & ENFORCE:
-        order = ("enforce_gcs", "gcs_system_id_high", "gcs_system_id")
+    alone = after.high is not None and after.high <= after.low
+    ids = ("gcs_system_id", "gcs_system_id_high") if alone else ("gcs_system_id_high", "gcs_system_id")
+    order = (*ids, "enforce_gcs") if after.options & ENFORCE else ("enforce_gcs", *ids)
     changes = [(key, getattr(after, FIELDS[key])) for key in order]
     return [(key, value) for key, value in changes if value is not None and value != getattr(before, FIELDS[key])]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.support.cli_process import Outcome, Server
+from tests.support.processes.cli_process import Outcome, Server
 
 
 @pytest.fixture

@@ -1,11 +1,11 @@
-"""Fixtures of the planner's tests; the functions behind them are in ``planner_missions``."""
+"""Fixtures of the planner's tests; the functions behind them are in ``tests/support/missions/problems.py``."""
 
 from __future__ import annotations
 
 import pytest
 
 from planner import Problem
-from tests.support.planner_missions import PAPER_LIKE, make_problem, paper_problem
+from tests.support.missions.problems import PAPER_LIKE, make_problem, paper_problem
 
 
 @pytest.fixture(params=PAPER_LIKE)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from planner import Problem, ProblemError, Trajectory, build_corridor, certify
-from tests.support.planner_missions import make_problem
+from tests.support.missions.problems import make_problem
 
 MEETING = [400.0, 0.0, 110.0]
 

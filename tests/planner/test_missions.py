@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.support.planner_missions import PAPER_LIKE, paper_problem
+from tests.support.missions.problems import PAPER_LIKE, paper_problem
 
 
 def test_thirty_missions_as_in_the_papers_table_2() -> None:

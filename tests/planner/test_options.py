@@ -10,7 +10,7 @@ import pytest
 
 from planner import InfeasibleError, Planner, Problem, Solution, Trajectory, certify
 from planner.energy import cost_s, energy_s
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.missions.problems import make_problem, paper_problem
 
 FLYABLE = {"min_overlap_s": 5.0, "min_tenure_s": 10.0}
 

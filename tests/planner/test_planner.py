@@ -28,8 +28,8 @@ from planner.remedy import (
     SetAltitude,
     WidenBand,
 )
+from tests.support.missions.problems import digest, make_problem, paper_problem
 from tests.support.paths import ROOT
-from tests.support.planner_missions import digest, make_problem, paper_problem
 
 DEFAULTS = {"margin_m": 25.0, "min_overlap_s": 5.0, "min_tenure_s": 10.0}
 
@@ -123,7 +123,7 @@ def test_same_problem_same_plan() -> None:
 def test_same_plan_in_another_process() -> None:
     code = (
         "from planner import Planner;"
-        "from tests.support.planner_missions import digest, paper_problem;"
+        "from tests.support.missions.problems import digest, paper_problem;"
         "print(digest(Planner().plan(paper_problem('M30_03'))))"
     )
     runs = {

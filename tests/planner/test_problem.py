@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner import Limits, ProblemError
-from tests.support.planner_missions import make_problem
+from tests.support.missions.problems import make_problem
 
 GOOD_LIMITS = {"min_alt_m": 100.0, "max_alt_m": 120.0, "max_speed_m_s": 50.0, "max_accel_m_s2": 5.0}
 

@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from tests.support.random_missions import has_a_way, outcome, random_mission
+from tests.support.missions.seeded import has_a_way, outcome, random_mission
 
 SEED = 2026
 # Of the soak: `SKYRELAY_SOAK_FIRST` and `SKYRELAY_SOAK_COUNT` choose a part of it.

@@ -1,7 +1,7 @@
 """How a flight must end under every fault, by name: the table behind ``docs/faults.md`` and the tests that fly it.
 
 ``python -m tests.scorecard.fault_outcomes`` from the root prints the page. An outcome is not what happened to happen:
-each row says why it is the one a careful operator would want. The flight is `flight_plans.relay_plan(2)`: two stations,
+each row says why it is the one a careful operator would want. The flight is `relay_plan(2)`: two stations,
 one handover.
 """
 
@@ -15,8 +15,8 @@ from typing import Any
 
 from sitl_fixtures.faults import FAULTS
 from sitl_fixtures.process import Impairment, LossyChannel
+from tests.support.flights.virtual import Proxy, VirtualFlight
 from tests.support.paths import ROOT
-from tests.support.virtual_flight import Proxy, VirtualFlight
 
 PAGE = ROOT / "docs" / "faults.md"
 
@@ -308,7 +308,7 @@ VERY_LONG_S = 2200.0
 
 def fly(row: Row, autopilot: str, seed: int = 1) -> VirtualFlight:
     """Fly the plan under a fault, to the end or as long as it can take."""
-    from tests.support.flight_plans import relay_plan
+    from tests.support.plans.planned import relay_plan
 
     network = NETWORK.get(row.specification)
     proxy = Channels(seed=seed, impairment=network[1]) if network is not None else None

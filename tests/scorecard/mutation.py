@@ -36,12 +36,12 @@ from tests.support.paths import ROOT
 
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 MODULES: dict[str, tuple[str, ...]] = {
-    "link/transport/gate.py": ("tests/link/transport/test_gate_edges.py", "tests/link/transport/test_gate.py"),
-    "link/handover/handover.py": ("tests/link/handover/test_handover_edges.py", "tests/link/handover/test_handover.py"),
-    "link/wire/signing.py": ("tests/link/wire/test_signing_edges.py", "tests/link/wire/test_signing.py"),
-    "link/wire/signing_timestamps.py": ("tests/link/wire/test_signing_edges.py", "tests/link/wire/test_signing.py"),
-    "link/wire/memory_file.py": ("tests/link/wire/test_signing_edges.py", "tests/link/wire/test_signing.py"),
-    "link/clock.py": ("tests/link/test_clock_edges.py", "tests/link/test_clock.py"),
+    "link/transport/gate.py": ("tests/link/transport/test_gate.py",),
+    "link/handover/handover.py": ("tests/link/handover/test_handover.py",),
+    "link/wire/signing.py": ("tests/link/wire/test_signing.py",),
+    "link/wire/signing_timestamps.py": ("tests/link/wire/test_signing.py",),
+    "link/wire/memory_file.py": ("tests/link/wire/test_signing.py",),
+    "link/clock.py": ("tests/link/test_clock.py",),
     "link/streamer/process.py": ("tests/link/streamer/test_loop.py",),
     "link/streamer/recorder.py": ("tests/link/streamer/test_loop.py",),
     "link/streamer/scheduling.py": ("tests/link/streamer/test_loop.py",),
@@ -240,10 +240,10 @@ def warm_up() -> None:
 
     import link.dialect
     import sitl_fixtures.vehicle
-    from tests.support import flight_plans
+    from tests.support.plans import planned
 
-    flight_plans.relay_plan(3)
-    flight_plans.relay_plan(2)
+    planned.relay_plan(3)
+    planned.relay_plan(2)
     assert all((hypothesis.stateful, numpy, pytest, scipy.optimize, link.dialect, sitl_fixtures.vehicle))
 
 

@@ -20,10 +20,10 @@ from gcs.flight import FlightState
 from link.handover.handover import handover_windows
 from sitl_fixtures.faults import FaultSet
 from tests.scorecard.soak import counted
-from tests.support.flight_plans import relay_plan
-from tests.support.forks import in_fork
-from tests.support.handover_bench import STATIONS, Bench
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.forks import in_fork
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.link.handover_bench import STATIONS, Bench
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 

@@ -25,10 +25,10 @@ from link.wire.codec import StationCodec
 from link.wire.signing import Signing, SigningKey
 from link.wire.signing_timestamps import SigningStore
 from tests.scorecard.soak import counted
-from tests.support.flight_plans import relay_plan
-from tests.support.flight_processes import Events, simulator
-from tests.support.stream_moments import SETPOINTS, at_moments, in_cruise, soak_moments
-from tests.support.virtual_flight import EPOCH_UNIX_S, Proxy, VirtualFlight
+from tests.support.flights.moments import SETPOINTS, at_moments, in_cruise, soak_moments
+from tests.support.flights.processes import Events, simulator
+from tests.support.flights.virtual import EPOCH_UNIX_S, Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 AUTOPILOTS = ("px4", "ardupilot")
 BOTH = pytest.mark.parametrize("autopilot", AUTOPILOTS)

@@ -22,9 +22,9 @@ from link.session.request import FlightRequest
 from link.setpoints.sampler import SetpointSampler
 from link.wire.codec import StationCodec
 from tests.scorecard.soak import counted
-from tests.support.flight_plans import relay_plan
-from tests.support.stream_moments import SETPOINTS, at_moments, in_cruise, soak_moments
-from tests.support.virtual_flight import VirtualFlight
+from tests.support.flights.moments import SETPOINTS, at_moments, in_cruise, soak_moments
+from tests.support.flights.virtual import VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 

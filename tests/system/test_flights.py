@@ -31,7 +31,8 @@ from gcs.planning.mission_planning import plan_mission
 from link.files.flight_report import report_flight
 from link.streamer.supervisor import start_flight
 from tests.scorecard.soak import counted
-from tests.support.flight_processes import (
+from tests.support.flights.forks import in_fork
+from tests.support.flights.processes import (
     Events,
     bad_links,
     free_ports,
@@ -40,10 +41,9 @@ from tests.support.flight_processes import (
     simulator,
     start_attended,
 )
-from tests.support.forks import in_fork
+from tests.support.flights.virtual import Proxy, VirtualFlight, handover_gaps_s, one_station_at_a_time, plan_home
 from tests.support.paths import MISSIONS
-from tests.support.process_tree import alive
-from tests.support.virtual_flight import Proxy, VirtualFlight, handover_gaps_s, one_station_at_a_time, plan_home
+from tests.support.processes.tree import alive
 
 AUTOPILOTS = ("ardupilot", "px4")
 

@@ -17,7 +17,7 @@ from gcs.plan.model import Plan, hash_of
 from gcs.planning.mission_planning import plan_mission
 from gcs.planning.option_costs import with_costs
 from tests.support.checker import check_plan, flight_energy_s
-from tests.support.option_missions import BASE, changed, on_earth, random_mission
+from tests.support.missions.with_options import BASE, changed, on_earth, random_mission
 from tests.support.remedies import apply
 
 Document = dict[str, Any]

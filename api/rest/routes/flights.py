@@ -44,7 +44,8 @@ def shown(services: Services, record: FlightRecord, *, whole: bool) -> dict[str,
         "phase": state.value,
         "created_utc": record.created_utc,
         "changed_utc": record.changed_utc,
-        "ended_utc": record.ended_utc,
+        # The record may be one event ahead of what is known here: one answer tells one moment.
+        "ended_utc": record.ended_utc if state.ended else None,
     }
     if whole:
         body |= {

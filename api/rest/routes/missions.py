@@ -92,6 +92,7 @@ def problem_of(record: MissionRecord) -> dict[str, Any] | None:
             "stations": found.get("stations"),
             "fix": found.get("fix"),
             "fix_text": found.get("fix_text"),
+            "causes": found.get("causes") or [],
         }
     if record.error is not None:
         return {"title": "Planning failed", "detail": record.error}

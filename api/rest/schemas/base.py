@@ -79,6 +79,9 @@ class InfeasibleDetails(ProblemDetails):
     stations: list[str] | None = None
     fix: dict[str, Any] | None = Field(None, description="The smallest single remedy, as data.")
     fix_text: str | None = Field(None, description="The same in words.")
+    causes: list[dict[str, Any]] | None = Field(
+        None, description="Where several things stand in the way: all of them, in flight order, each with its own fix."
+    )
 
 
 class Health(Closed):

@@ -150,6 +150,9 @@ class MissionProblem(Open):
     stations: list[str] | None = None
     fix: dict[str, Any] | None = None
     fix_text: str | None = None
+    causes: list[dict[str, Any]] = Field(
+        default_factory=list, description="Where several things stand in the way: all of them, in flight order."
+    )
 
 
 class MissionSummary(Closed):

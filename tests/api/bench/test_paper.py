@@ -14,8 +14,8 @@ from api.bench.paper import experiments
 from api.bench.paper.page import cells_3
 from api.bench.paper.results import Results, ResultsError, fingerprint
 from api.bench.planner.cases import Case
-from tests.support.cli_process import Outcome
-from tests.support.malformed_missions import GOOD_LOCAL
+from tests.support.missions.malformed import GOOD_LOCAL
+from tests.support.processes.cli_process import Outcome
 
 Cli = Callable[..., Outcome]
 LIMITS = ("--time-limit", "0.2", "--rival-limit", "0.05")

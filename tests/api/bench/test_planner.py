@@ -12,8 +12,8 @@ import pytest
 
 from api.bench.planner import compare as bench
 from gcs.errors import PlanningFailed
-from tests.support.cli_process import Outcome
-from tests.support.malformed_missions import GOOD_LOCAL
+from tests.support.missions.malformed import GOOD_LOCAL
+from tests.support.processes.cli_process import Outcome
 
 Cli = Callable[..., Outcome]
 

@@ -16,7 +16,7 @@ from link.dialect import mavlink
 from link.wire.codec import StationCodec
 from link.wire.signing import Signing, SigningKey
 from link.wire.signing_timestamps import SigningStore
-from tests.support.cli_process import Outcome
+from tests.support.processes.cli_process import Outcome
 
 Cli = Callable[..., Outcome]
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from api.bench.link.rates import wire_rates
-from tests.support.drawn_plans import relay_plan
+from tests.support.plans.drawn import drawn_relay_plan
 
 
 def test_every_rate_is_there_beside_its_reference() -> None:
-    rates = {rate.name: rate for rate in wire_rates(relay_plan(), seconds=0.01)}
+    rates = {rate.name: rate for rate in wire_rates(drawn_relay_plan(), seconds=0.01)}
     assert len(rates) == 9
     reference = rates["reference: SHA-256 of 64 bytes"]
     assert reference.per_reference == 1.0

@@ -18,8 +18,8 @@ from api.cli import files
 from api.cli.console import Progress
 from api.cli.errors import BadInputError, CommandError
 from api.processes.children import ChildError, Children
-from tests.support.cli_process import SKYRELAY
-from tests.support.process_tree import alive
+from tests.support.processes.cli_process import SKYRELAY
+from tests.support.processes.tree import alive
 
 Cli = Callable[..., "object"]
 

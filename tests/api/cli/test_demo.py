@@ -14,9 +14,9 @@ import httpx
 import pytest
 
 from api.cli.demo.story import Pace
-from tests.support.cli_process import SKYRELAY, Outcome, run_process
-from tests.support.malformed_missions import GOOD
-from tests.support.process_tree import descendants, gone
+from tests.support.missions.malformed import GOOD
+from tests.support.processes.cli_process import SKYRELAY, Outcome, run_process
+from tests.support.processes.tree import descendants, gone
 
 Cli = Callable[..., Outcome]
 

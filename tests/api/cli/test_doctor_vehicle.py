@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.flight_processes import ROOT, free_ports
+from tests.support.flights.processes import ROOT, free_ports
 
 mavsdk = pytest.importorskip("mavsdk")
 pytestmark = pytest.mark.slow

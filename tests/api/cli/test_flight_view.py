@@ -12,7 +12,7 @@ from api.cli.console import Progress
 from api.cli.errors import ContingencyError
 from gcs.flight import FlightState
 from link.streamer.supervisor import FlightResult
-from tests.support.flight_plans import relay_plan
+from tests.support.plans.planned import relay_plan
 
 
 def check(name: str, level: str, **data: Any) -> dict[str, Any]:

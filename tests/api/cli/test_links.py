@@ -6,7 +6,7 @@ import pytest
 
 from api.cli.commands.fly import links_of, request_of
 from api.cli.errors import BadInputError
-from tests.support.flight_plans import wide_plan
+from tests.support.plans.planned import wide_plan
 
 ONE, TWO, ALL = "udpout:127.0.0.1:14541", "serial:/dev/ttyUSB0:57600", "udpin:127.0.0.1:14550"
 

@@ -15,9 +15,9 @@ import pytest
 
 from gcs.plan import read_plan
 from tests.support.checker import check_plan
-from tests.support.cli_process import SKYRELAY, Outcome
-from tests.support.infeasible_missions import INFEASIBLE
-from tests.support.malformed_missions import GOOD, MALFORMED
+from tests.support.missions.infeasible import INFEASIBLE
+from tests.support.missions.malformed import GOOD, MALFORMED
+from tests.support.processes.cli_process import SKYRELAY, Outcome
 
 Cli = Callable[..., Outcome]
 

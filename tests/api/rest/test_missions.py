@@ -13,9 +13,9 @@ import httpx
 import pytest
 
 from tests.support.checker import check_plan
-from tests.support.infeasible_missions import INFEASIBLE
-from tests.support.malformed_missions import GOOD, GOOD_LOCAL, MALFORMED
-from tests.support.rest_client import assert_problem, wait_for_planning
+from tests.support.missions.infeasible import INFEASIBLE
+from tests.support.missions.malformed import GOOD, GOOD_LOCAL, MALFORMED
+from tests.support.processes.rest_client import assert_problem, wait_for_planning
 
 
 def body_of(document: Any) -> bytes:

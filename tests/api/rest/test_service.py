@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.support.malformed_missions import GOOD
+from tests.support.missions.malformed import GOOD
 
 PROBLEM = "application/problem+json"
 

@@ -25,8 +25,8 @@ from link.errors import SupervisorError
 from link.streamer.control_socket import connect
 from link.streamer.supervisor import attach
 from tests.scorecard.soak import counted
-from tests.support.flight_processes import ROOT
-from tests.support.rest_client import launch, wait_for, wait_for_planning
+from tests.support.flights.processes import ROOT
+from tests.support.processes.rest_client import launch, wait_for, wait_for_planning
 
 # Eight minutes for one flight: the mission of the demonstration, slowly.
 SLOW_MISSION = QUICK_MISSION | {"limits": QUICK_MISSION["limits"] | {"max_speed_m_s": 3.0}}

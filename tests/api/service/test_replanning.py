@@ -19,7 +19,7 @@ from gcs.planning.replanning import replan
 from link.director.plan_exchange import judge_next
 from link.preflight.check import Level
 from link.session.request import FlightRequest
-from tests.support.flight_plans import relay_plan, wide_plan
+from tests.support.plans.planned import relay_plan, wide_plan
 
 OLD = wide_plan()
 

@@ -19,7 +19,7 @@ from gcs.mission import read_mission
 from gcs.mission.staffing import staffed
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
-from tests.support.malformed_missions import GOOD
+from tests.support.missions.malformed import GOOD
 
 LAUNCH = datetime(2026, 11, 22, 9, 0, tzinfo=UTC)
 

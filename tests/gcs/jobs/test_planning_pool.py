@@ -23,10 +23,10 @@ from gcs.plan import read_plan
 from gcs.planning.mission_planning import plan_mission
 from gcs.store.missions import MissionRecord
 from gcs.store.store import Store
-from tests.support.infeasible_missions import local
-from tests.support.malformed_missions import GOOD
+from tests.support.missions.infeasible import local
+from tests.support.missions.malformed import GOOD
 from tests.support.paths import ROOT
-from tests.support.process_tree import alive
+from tests.support.processes.tree import alive
 
 DOCUMENT = write_mission(read_mission(GOOD))
 LONGER = write_mission(
@@ -272,7 +272,10 @@ def test_killed_service_leaves_no_process_and_its_mission_is_planned_by_the_next
     """SIGKILL to the service while it plans: its workers die with it, and a new one takes the mission up at once."""
     with Store(url) as store:
         service = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.jobs_owner", url], cwd=ROOT, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-m", "tests.support.processes.jobs_owner", url],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         assert service.stdout is not None
         pids = [int(pid) for pid in service.stdout.readline().split()]

@@ -16,7 +16,7 @@ from gcs.errors import InputFault, MissionError, MissionInfeasible, infeasible_f
 from gcs.mission import read_mission, with_options, write_mission
 from gcs.mission.document import parse_mission_json, parse_option
 from gcs.mission.system_ids import assign_system_ids
-from tests.support.malformed_missions import GOOD, GOOD_LOCAL, MALFORMED
+from tests.support.missions.malformed import GOOD, GOOD_LOCAL, MALFORMED
 from tests.support.paths import MISSIONS
 
 

@@ -20,7 +20,7 @@ from gcs.mission.model import GeoPosition, Mission
 from gcs.plan.contingency import contingencies
 from gcs.plan.handover_schedule import schedule
 from planner.trajectory import Trajectory
-from tests.support.malformed_missions import GOOD, GOOD_LOCAL
+from tests.support.missions.malformed import GOOD, GOOD_LOCAL
 
 
 def straight(*points: tuple[float, float, float], speed_m_s: float, stations: list[int]) -> Trajectory:

@@ -15,8 +15,8 @@ from gcs.planning import mission_planning, plan_mission, recertify
 from gcs.planning.mission_planning import PlanningMethod, find_plan
 from gcs.remedies.findings import ArrivalAfterEndurance, ArrivalTooEarly, EnduranceTooShort, NoTrajectory
 from planner import Planner, Problem, Solution
-from tests.support.infeasible_missions import local
-from tests.support.malformed_missions import GOOD_LOCAL
+from tests.support.missions.infeasible import local
+from tests.support.missions.malformed import GOOD_LOCAL
 
 
 class CountingPlanner:

@@ -25,8 +25,8 @@ from gcs.planning.certification import recertify
 from gcs.planning.mission_planning import plan_mission
 from planner.trajectory import Trajectory
 from tests.support.checker import check_plan
-from tests.support.infeasible_missions import local, wgs84
-from tests.support.malformed_missions import GOOD, GOOD_LOCAL
+from tests.support.missions.infeasible import local, wgs84
+from tests.support.missions.malformed import GOOD, GOOD_LOCAL
 from tests.support.paths import MISSIONS
 
 

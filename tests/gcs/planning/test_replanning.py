@@ -20,7 +20,7 @@ from gcs.planning.joining import LEAST_PIECE_S
 from gcs.planning.mission_planning import plan_mission
 from gcs.planning.replanning import Replanned, ReplanOrder, replan
 from tests.support.checker import check_plan
-from tests.support.flight_plans import FIRST_JOIN_S, wide_document, wide_plan
+from tests.support.plans.planned import FIRST_JOIN_S, wide_document, wide_plan
 
 FAST: dict[str, Any] = {"method": "fast"}
 

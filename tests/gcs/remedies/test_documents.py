@@ -35,7 +35,7 @@ from gcs.remedies.changes import (
 )
 from gcs.remedies.remedy import Remedy, document_of
 from gcs.remedies.wording import words, words_of
-from tests.support.infeasible_missions import local, wgs84
+from tests.support.missions.infeasible import local, wgs84
 from tests.support.remedies import apply as followed
 
 EARTH = Location(GeoPosition(52.5, 4.75, 100.0))

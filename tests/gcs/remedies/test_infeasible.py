@@ -17,9 +17,9 @@ from gcs.mission.model import Mission
 from gcs.planning.mission_planning import plan_mission
 from planner.infeasibility.diagnosis import diagnose
 from tests.support.checker import check_plan
-from tests.support.infeasible_missions import INFEASIBLE, local, wgs84
-from tests.support.malformed_missions import GOOD
-from tests.support.option_missions import BASE, changed
+from tests.support.missions.infeasible import INFEASIBLE, local, wgs84
+from tests.support.missions.malformed import GOOD
+from tests.support.missions.with_options import BASE, changed
 from tests.support.remedies import apply, remedies
 
 NAMES = [case[0] for case in INFEASIBLE]

@@ -22,7 +22,7 @@ from gcs.settings import Settings
 from gcs.store.missions import Idempotency
 from gcs.store.store import Store
 from gcs.store.tables import metadata
-from tests.support.malformed_missions import GOOD, GOOD_LOCAL
+from tests.support.missions.malformed import GOOD, GOOD_LOCAL
 from tests.support.paths import ROOT
 
 DOCUMENT = write_mission(read_mission(GOOD))
@@ -471,7 +471,7 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path, kill_after: int) 
     """A writer is killed in the middle of its work: every commit it told of is there, and nothing is torn."""
     url = f"sqlite:///{tmp_path / 'skyrelay.db'}"
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.support.store_writer", url], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "tests.support.processes.store_writer", url], cwd=ROOT, stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     told = [process.stdout.readline().split() for _ in range(kill_after)]

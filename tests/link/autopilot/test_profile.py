@@ -32,9 +32,9 @@ from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
 from link.telemetry.vehicle_monitor import Heartbeat
 from link.wire.codec import StationCodec
-from tests.support.drawn_plans import relay_plan
 from tests.support.heartbeats import is_autopilot
-from tests.support.recordings import NAMES, autopilot_of, load, received
+from tests.support.link.recordings import NAMES, autopilot_of, load, received
+from tests.support.plans.drawn import drawn_relay_plan
 
 DEN_HELDER = EkfOrigin(53.0, 4.8, 12.5)
 GOOD = Setpoint(
@@ -186,7 +186,7 @@ def test_ardupilot_is_not_sent_anything_before_its_origin_is_known() -> None:
 def test_the_place_meant_is_the_place_the_vehicle_goes_to(name: str) -> None:
     """100 km from the vehicle's origin the true target is within 2 cm of the plan (float32 steps by 8 mm there)."""
     profile = PROFILES[name]
-    stream = SetpointSampler(relay_plan(), 0.5)
+    stream = SetpointSampler(drawn_relay_plan(), 0.5)
     there = Plane(53.0, 4.8).to_geodetic(-70_000.0, -71_000.0)
     origin = EkfOrigin(float(there[0]), float(there[1]), 3.0)
     for sample in stream:
@@ -204,7 +204,7 @@ def test_the_place_meant_is_the_place_the_vehicle_goes_to(name: str) -> None:
 
 def test_one_mask_for_the_whole_flight_hold_included() -> None:
     """ArduCopter starts its controller anew when the mask changes; and only full triples are never misread."""
-    sample = SetpointSampler(relay_plan(), 20.0).at(77.0)
+    sample = SetpointSampler(drawn_relay_plan(), 20.0).at(77.0)
     for profile in PROFILES.values():
         masks = {
             profile.encode(s, target_system=1, origin=DEN_HELDER).type_mask

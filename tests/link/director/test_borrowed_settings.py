@@ -9,9 +9,9 @@ import pytest
 
 from gcs.flight import FlightState
 from sitl_fixtures.mavlink import FENCE, RALLY, Item
-from tests.support.flight_plans import relay_plan
-from tests.support.ground_flight import FIELDS, GROUND_M, checks, on_ground, safe_plan
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.on_ground import FIELDS, GROUND_M, checks, on_ground, safe_plan
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 OLD = Item(5100, 3, (0.0, 0.0, 0.0, 0.0), 529_505_000, 47_905_000, 12.0)

@@ -13,8 +13,8 @@ import pytest
 from gcs.flight import FlightState, OperatorCommand, TransitionError
 from gcs.mission.model import LocalPosition
 from link.session.timeline import plain
-from tests.support.flight_plans import relay_plan
-from tests.support.virtual_flight import Proxy, Truth, VirtualFlight
+from tests.support.flights.virtual import Proxy, Truth, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 HOLD = {"px4": "HOLD", "ardupilot": "GUIDED"}

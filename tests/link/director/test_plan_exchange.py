@@ -15,8 +15,8 @@ from gcs.mission.model import LocalPosition
 from gcs.plan.model import Plan
 from gcs.planning.replanning import Replanned, replan
 from link.setpoints.setpoint import Setpoint
-from tests.support.flight_plans import FIRST_JOIN_S, relay_plan, wide_plan
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import FIRST_JOIN_S, relay_plan, wide_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 TICK_S = 0.05

@@ -13,9 +13,9 @@ import pytest
 
 import sitl_fixtures
 from gcs.flight import FlightState
-from tests.support.flight_plans import relay_plan
-from tests.support.recordings import load
-from tests.support.virtual_flight import VirtualFlight, handover_gaps_s, one_station_at_a_time
+from tests.support.flights.virtual import VirtualFlight, handover_gaps_s, one_station_at_a_time
+from tests.support.link.recordings import load
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 MISSIONS = Path(sitl_fixtures.__file__).parent / "missions"

@@ -15,7 +15,7 @@ from link.files.link_report import History, LinkReport
 from link.files.tlog import TlogWriter
 from link.setpoints.sampler import SetpointSampler
 from link.wire.codec import StationCodec
-from tests.support.flight_plans import relay_plan
+from tests.support.plans.planned import relay_plan
 
 START_US = 1_795_000_000_000_000
 PLAN = relay_plan(2)

@@ -20,7 +20,7 @@ from gcs.plan.model import Plan
 from link.autopilot.local_frame import EkfOrigin, ardupilot_lat_lon_deg
 from link.files.setpoint_files import COLUMNS, setpoint_file
 from link.setpoints.sampler import SetpointSampler
-from tests.support.drawn_plans import make_plan, relay_plan, rest_to_rest, with_handovers
+from tests.support.plans.drawn import drawn_relay_plan, make_plan, rest_to_rest, with_handovers
 
 HEADER = (
     "time_s,station,north_m,east_m,down_m,vn_m_s,ve_m_s,vd_m_s,an_m_s2,ae_m_s2,ad_m_s2,"
@@ -52,7 +52,7 @@ def test_csv_by_hand() -> None:
 
 
 def test_csv_is_the_curve_to_the_written_digit() -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     rows = list(csv.DictReader(io.StringIO(content(plan, 20.0, "csv").decode())))
     assert len(rows) == 6001
     time = np.array([float(row["time_s"]) for row in rows])
@@ -77,7 +77,7 @@ def test_csv_is_the_curve_to_the_written_digit() -> None:
 
 
 def test_csv_digits_and_handovers() -> None:
-    rows = [line.split(",") for line in content(relay_plan(), 3.0, "csv").decode().splitlines()[1:]]
+    rows = [line.split(",") for line in content(drawn_relay_plan(), 3.0, "csv").decode().splitlines()[1:]]
     decimals = [6, None, 4, 4, 4, 5, 5, 5, 5, 5, 5, 9, 9, 9, 4]
     for row in rows:
         for value, digits in zip(row, decimals, strict=False):
@@ -99,7 +99,7 @@ def test_csv_yaw_of_360_is_written_as_0() -> None:
 
 
 def test_jsonl_has_the_same_names_and_unrounded_numbers() -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     rows = [json.loads(line) for line in content(plan, 5.0, "jsonl").decode().splitlines()]
     samples = list(SetpointSampler(plan, 5.0))
     assert len(rows) == len(samples)
@@ -126,7 +126,7 @@ def read_with_mavutil(path: Path) -> list[object]:
 
 @pytest.mark.slow
 def test_px4_log_read_back_by_mavutil(tmp_path: Path) -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     path = tmp_path / "plan.tlog"
     path.write_bytes(content(plan, 20.0, "tlog", autopilot="px4", launch=LAUNCH))
     messages = read_with_mavutil(path)
@@ -153,7 +153,7 @@ def test_px4_log_read_back_by_mavutil(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_ardupilot_log_is_in_its_own_frame_from_the_origin_it_names(tmp_path: Path) -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     path = tmp_path / "plan.tlog"
     path.write_bytes(content(plan, 10.0, "tlog", autopilot="ardupilot"))
     messages = read_with_mavutil(path)
@@ -174,7 +174,7 @@ def test_ardupilot_log_is_in_its_own_frame_from_the_origin_it_names(tmp_path: Pa
 
 def test_a_log_for_another_origin(tmp_path: Path) -> None:
     origin = EkfOrigin(53.01, 4.85, 2.0)
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     path = tmp_path / "plan.tlog"
     path.write_bytes(content(plan, 1.0, "tlog", autopilot="ardupilot", origin=origin))
     first = next(m for m in read_with_mavutil(path) if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED")
@@ -186,7 +186,7 @@ def test_a_log_for_another_origin(tmp_path: Path) -> None:
 
 def test_heartbeats_come_from_the_station_in_control_every_second(tmp_path: Path) -> None:
     path = tmp_path / "plan.tlog"
-    path.write_bytes(content(relay_plan(), 20.0, "tlog"))
+    path.write_bytes(content(drawn_relay_plan(), 20.0, "tlog"))
     beats = [m for m in read_with_mavutil(path) if m.get_type() == "HEARTBEAT"]
     base = datetime(2000, 1, 1, tzinfo=UTC).timestamp()
     times = [(round(m._timestamp - base, 6), m.get_srcSystem()) for m in beats]
@@ -203,7 +203,7 @@ def test_heartbeats_come_from_the_station_in_control_every_second(tmp_path: Path
 )
 def test_mavlogdump_reads_the_log(tmp_path: Path, autopilot: str, kind: str) -> None:
     """pymavlink's own program, as a user would run it."""
-    plan = relay_plan(duration_s=60.0, handovers_s=(20.0, 40.5))
+    plan = drawn_relay_plan(duration_s=60.0, handovers_s=(20.0, 40.5))
     path = tmp_path / "plan.tlog"
     path.write_bytes(content(plan, 5.0, "tlog", autopilot=autopilot, launch=LAUNCH))
     tool = [sys.executable, "-m", "pymavlink.tools.mavlogdump", "--format", "json", "--types", kind, str(path)]
@@ -220,7 +220,7 @@ def test_mavlogdump_reads_the_log(tmp_path: Path, autopilot: str, kind: str) -> 
 
 
 def test_log_stamps_are_microseconds_big_endian() -> None:
-    first = content(relay_plan(), 1.0, "tlog", launch=LAUNCH)[:9]
+    first = content(drawn_relay_plan(), 1.0, "tlog", launch=LAUNCH)[:9]
     stamp, marker = struct.unpack(">QB", first)
     assert marker == 0xFD
     assert stamp == 1_795_338_000_250_000  # 2026-11-22T09:00:00.25Z
@@ -241,7 +241,7 @@ def test_log_stamps_are_microseconds_big_endian() -> None:
 def test_bad_options_are_refused_before_the_first_piece(change: dict[str, object], message: str) -> None:
     options: dict[str, object] = {"rate_hz": 20.0, "file_format": "csv", **change}
     with pytest.raises(ValueError, match=message):
-        setpoint_file(relay_plan(), **options)  # type: ignore[arg-type]
+        setpoint_file(drawn_relay_plan(), **options)  # type: ignore[arg-type]
 
 
 def test_pieces_come_one_at_a_time() -> None:

@@ -17,9 +17,9 @@ from link.handover.gcs_ids import ENFORCE, GcsIdManager, GcsIds
 from link.microservices.parameter_value import Parameter
 from link.session.request import FlightRequest
 from link.transport.gate import Sender, TransmitterGate
-from tests.support.flight_plans import relay_plan
-from tests.support.ground_flight import checks, on_ground
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.on_ground import checks, on_ground
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 NAMES = ("MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "MAV_OPTIONS")
 OLD_NAMES = ("SYSID_MYGCS", "SYSID_ENFORCE")

@@ -25,7 +25,7 @@ from link.microservices.mission_upload import MissionClear, MissionUpload
 from link.wire.codec import StationCodec
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
 from tests.scorecard.soak import counted
-from tests.support.mission_vehicle import BadLink, MissionVehicle
+from tests.support.link.mission_vehicle import BadLink, MissionVehicle
 
 KINDS = ("px4", "ardupilot")
 ADDRESS: dict[str, Any] = {"target": (1, 1), "station": (241, 190)}

@@ -10,8 +10,8 @@ from link.dialect import mavlink
 from link.director import launch as launch_module
 from link.microservices.parameter import ATTEMPTS, ParameterClient
 from link.transport.gate import ControlGrant, Sender
-from tests.support.flight_plans import relay_plan
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 GRANT = ControlGrant(1, Sender("s1"))
 

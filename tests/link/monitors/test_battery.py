@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from gcs.flight import FlightState
-from tests.support.flight_plans import relay_plan
-from tests.support.virtual_flight import VirtualFlight
+from tests.support.flights.virtual import VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 

@@ -14,9 +14,9 @@ from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
 from link.preflight.check import Level
 from link.preflight.route import judge_lowest, judge_stops
-from tests.support.flight_plans import relay_document, relay_plan
-from tests.support.ground_flight import checks, on_ground
-from tests.support.virtual_flight import VirtualFlight
+from tests.support.flights.on_ground import checks, on_ground
+from tests.support.flights.virtual import VirtualFlight
+from tests.support.plans.planned import relay_document, relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 

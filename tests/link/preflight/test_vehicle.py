@@ -25,8 +25,8 @@ from link.preflight.vehicle import judge_clock, judge_performance, judge_place, 
 from link.session.request import FlightRequest
 from link.telemetry.link_path import LinkQuality
 from link.telemetry.vehicle_monitor import VehicleMonitor
-from tests.support.flight_plans import relay_plan
-from tests.support.ground_flight import checks, on_ground
+from tests.support.flights.on_ground import checks, on_ground
+from tests.support.plans.planned import relay_plan
 
 
 def request(**changes: Any) -> FlightRequest:
@@ -299,6 +299,8 @@ def test_the_range_of_a_plan_is_that_of_its_stations_and_one_station_is_no_range
     assert wanted({"a": 243}, GcsIds(255, None, 0)) == GcsIds(243, None, 1)
     # The order trap: HI first, or the writer 255 is shut out while widening to 254..255.
     assert writes(GcsIds(255, 0, 1), GcsIds(254, 255, 1)) == [("gcs_system_id_high", 255), ("gcs_system_id", 254)]
+    # And the other way round: SYSID first, or 1 alone is heard while 1..5 narrows to 2.
+    assert writes(GcsIds(1, 5, 1), GcsIds(2, 0, 1)) == [("gcs_system_id", 2), ("gcs_system_id_high", 0)]
 
 
 # -- the request ------------------------------------------------------------------------------------------------------

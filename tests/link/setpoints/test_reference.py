@@ -13,7 +13,7 @@ from link.setpoints.local_projection import LocalProjection
 from link.setpoints.reference import BRAKING_SHARE, ReferenceTrajectory
 from link.setpoints.sampler import SetpointSampler
 from link.setpoints.straight_line import StraightLine
-from tests.support.flight_plans import relay_plan
+from tests.support.plans.planned import relay_plan
 
 ACCEL_M_S2 = 2.5
 DT_S = 0.05

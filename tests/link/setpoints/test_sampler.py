@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from link.setpoints.sampler import CHUNK, SLOW_M_S, SetpointSampler
 from planner import Trajectory
-from tests.support.drawn_plans import make_plan, relay_plan, rest_to_rest, with_handovers
+from tests.support.plans.drawn import drawn_relay_plan, make_plan, rest_to_rest, with_handovers
 
 STRAIGHT = ((0.0, 0.0, 100.0), (1000.0, 0.0, 100.0))
 
@@ -79,7 +79,7 @@ def test_a_rate_out_of_range_is_refused_with_the_range(rate_hz: float) -> None:
 
 
 def test_samples_are_the_curve() -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     stream = SetpointSampler(plan, 7.0)
     samples = list(stream)
     assert len(samples) == len(stream)
@@ -94,7 +94,7 @@ def test_samples_are_the_curve() -> None:
 
 
 def test_first_and_last_sample_are_at_rest_at_start_and_destination() -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     first, *_, last = SetpointSampler(plan, 20.0)
     assert first.position_enu_m == pytest.approx((0.0, 0.0, 90.0))
     assert last.position_enu_m == pytest.approx((4500.0, 4500.0, 130.0))
@@ -106,7 +106,7 @@ def test_first_and_last_sample_are_at_rest_at_start_and_destination() -> None:
 
 def test_station_changes_at_the_handover_and_is_marked_once() -> None:
     """Handovers at 100.0 (on the 20 Hz grid) and 200.5 s."""
-    samples = list(SetpointSampler(relay_plan(handovers_s=(100.0, 200.5)), 20.0))
+    samples = list(SetpointSampler(drawn_relay_plan(handovers_s=(100.0, 200.5)), 20.0))
     marked = [(s.time_s, s.handover, s.station_id, s.system_id, s.leg) for s in samples if s.handover is not None]
     assert marked == [(100.0, 1, "texel", 242, 1), (200.5, 2, "vlieland", 243, 2)]
     for sample in samples:
@@ -116,7 +116,7 @@ def test_station_changes_at_the_handover_and_is_marked_once() -> None:
 
 
 def test_a_handover_between_samples_is_marked_on_the_next_one() -> None:
-    samples = list(SetpointSampler(relay_plan(handovers_s=(100.01, 200.04)), 10.0))
+    samples = list(SetpointSampler(drawn_relay_plan(handovers_s=(100.01, 200.04)), 10.0))
     assert [(s.time_s, s.handover) for s in samples if s.handover] == [
         (pytest.approx(100.1), 1),
         (pytest.approx(200.1), 2),
@@ -124,7 +124,7 @@ def test_a_handover_between_samples_is_marked_on_the_next_one() -> None:
 
 
 def test_two_handovers_between_two_samples_name_the_station_that_is_in_control() -> None:
-    samples = list(SetpointSampler(relay_plan(handovers_s=(100.2, 100.6)), 1.0))
+    samples = list(SetpointSampler(drawn_relay_plan(handovers_s=(100.2, 100.6)), 1.0))
     assert [(s.time_s, s.handover, s.station_id) for s in samples if s.handover] == [(101.0, 2, "vlieland")]
 
 
@@ -132,7 +132,7 @@ def test_two_handovers_between_two_samples_name_the_station_that_is_in_control()
 def test_a_handover_at_the_seam_of_two_blocks_is_marked_once(offset: int) -> None:
     rate_hz = 50.0
     time_s = (CHUNK + offset) / rate_hz
-    samples = list(SetpointSampler(relay_plan(handovers_s=(time_s, 200.5)), rate_hz))
+    samples = list(SetpointSampler(drawn_relay_plan(handovers_s=(time_s, 200.5)), rate_hz))
     assert [i for i, s in enumerate(samples) if s.handover] == [CHUNK + offset, 10025]
 
 
@@ -167,7 +167,7 @@ def test_blocks_are_bounded_and_computed_one_at_a_time() -> None:
 
 
 def test_a_plan_whose_handovers_do_not_fit_its_legs_is_refused() -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     broken = SimpleNamespace(
         trajectory=plan.trajectory, mission=plan.mission, handovers=plan.handovers[:1], plane=plan.plane
     )
@@ -176,7 +176,7 @@ def test_a_plan_whose_handovers_do_not_fit_its_legs_is_refused() -> None:
 
 
 def test_a_plan_without_a_system_id_is_refused() -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     nameless = replace(plan.mission, stations=tuple(replace(s, system_id=None) for s in plan.mission.stations))
     with pytest.raises(ValueError, match="station den-helder has no system id"):
         SetpointSampler(replace(plan, mission=nameless), 20.0)
@@ -186,7 +186,7 @@ def test_a_plan_without_a_system_id_is_refused() -> None:
 
 
 def test_at_agrees_with_the_stream_everywhere() -> None:
-    stream = SetpointSampler(relay_plan(), 9.7)
+    stream = SetpointSampler(drawn_relay_plan(), 9.7)
     for sample in stream:
         got = stream.at(sample.time_s)
         assert got.handover is None
@@ -207,7 +207,7 @@ def test_at_agrees_with_the_stream_everywhere() -> None:
 
 
 def test_at_is_clamped_to_the_flight() -> None:
-    stream = SetpointSampler(relay_plan(), 20.0)
+    stream = SetpointSampler(drawn_relay_plan(), 20.0)
     assert stream.at(-5.0) == stream.at(0.0)
     assert stream.at(1e9) == stream.at(300.0)
     assert stream.at(1e9).time_s == 300.0
@@ -282,7 +282,7 @@ def test_yaw_follows_the_course_and_is_held_where_slow() -> None:
 
 
 def test_yaw_does_not_depend_on_the_rate() -> None:
-    plan = relay_plan()
+    plan = drawn_relay_plan()
     coarse = {round(s.time_s, 6): s.yaw_deg for s in SetpointSampler(plan, 1.0)}
     fine = {round(s.time_s, 6): s.yaw_deg for s in SetpointSampler(plan, 20.0)}
     assert all(fine[t] == pytest.approx(yaw, abs=1e-9) for t, yaw in coarse.items())
@@ -299,7 +299,7 @@ def test_yaw_of_a_climb_on_the_spot_is_north_and_of_a_crawl_its_direction() -> N
 
 
 def test_hold_is_the_same_place_at_rest() -> None:
-    moving = SetpointSampler(relay_plan(), 20.0).at(120.0)
+    moving = SetpointSampler(drawn_relay_plan(), 20.0).at(120.0)
     held = moving.hold()
     assert (held.lat_deg, held.lon_deg, held.alt_amsl_m) == (moving.lat_deg, moving.lon_deg, moving.alt_amsl_m)
     assert (held.position_enu_m, held.yaw_deg, held.system_id) == (
@@ -318,7 +318,7 @@ def test_hold_is_the_same_place_at_rest() -> None:
 
 def test_retimed_is_the_derivative_along_the_slowed_clock() -> None:
     """Plan time runs as T(t) = T0 + r t + q t^2 / 2: velocity and acceleration by finite differences of position."""
-    stream = SetpointSampler(relay_plan(), 20.0)
+    stream = SetpointSampler(drawn_relay_plan(), 20.0)
     start, rate, change, h = 120.0, 0.6, -0.08, 1e-3
 
     def place(t: float) -> np.ndarray:  # type: ignore[type-arg]

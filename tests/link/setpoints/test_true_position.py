@@ -20,8 +20,8 @@ from link.setpoints.sampler import SetpointSampler
 from link.setpoints.setpoint import Setpoint
 from link.wire.codec import StationCodec
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
-from tests.support.drawn_plans import make_plan, rest_to_rest
 from tests.support.heartbeats import is_autopilot
+from tests.support.plans.drawn import make_plan, rest_to_rest
 
 GROUND_AMSL_M = 20.0
 CLIMB_M = 40.0

@@ -33,8 +33,8 @@ from link.streamer.recorder import Recorder
 from link.streamer.scheduling import lock_memory, raise_priority
 from link.wire.signing import SigningKey
 from link.wire.signing_timestamps import SigningStore
-from tests.support.flight_plans import relay_plan
-from tests.support.flight_processes import free_ports, open_files
+from tests.support.flights.processes import free_ports, open_files
+from tests.support.plans.planned import relay_plan
 
 TICK_S = 0.02
 

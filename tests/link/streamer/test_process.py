@@ -22,8 +22,8 @@ from link.streamer.process import EXIT_REFUSED_REQUEST, main, make_codecs, open_
 from link.streamer.recorder import Recorder
 from link.streamer.supervisor import start_flight
 from link.transport.port_lock import LinkLocks
-from tests.support.flight_plans import relay_plan
-from tests.support.flight_processes import Events, free_ports, mode_seen, simulator
+from tests.support.flights.processes import Events, free_ports, mode_seen, simulator
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 SPEEDUP = 4.0

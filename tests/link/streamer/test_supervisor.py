@@ -14,9 +14,9 @@ from gcs.planning.replanning import replan
 from link.errors import FlightRequestError, SupervisorError
 from link.session.request import FlightRequest
 from link.streamer.supervisor import attach, start_flight
-from tests.support.flight_plans import relay_plan, wide_plan
-from tests.support.flight_processes import Events, bad_links, free_ports, kill, simulator, start_attended
-from tests.support.process_tree import alive
+from tests.support.flights.processes import Events, bad_links, free_ports, kill, simulator, start_attended
+from tests.support.plans.planned import relay_plan, wide_plan
+from tests.support.processes.tree import alive
 
 SPEEDUP = 4.0
 

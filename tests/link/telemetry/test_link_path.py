@@ -9,8 +9,8 @@ import pytest
 from gcs.flight import FlightState
 from link.telemetry.link_path import LinkPath
 from link.telemetry.station_link import StationLink
-from tests.support.flight_plans import relay_plan
-from tests.support.virtual_flight import Proxy, VirtualFlight
+from tests.support.flights.virtual import Proxy, VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 

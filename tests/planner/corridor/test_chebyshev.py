@@ -9,7 +9,7 @@ from planner import InfeasibleError
 from planner.corridor.chebyshev import chebyshev_centres, slack_m
 from planner.corridor.corridor import Corridor, Piece
 from planner.corridor.polyline_program import shortest_polyline
-from tests.support.planner_missions import corridor_of, make_problem, paper_problem
+from tests.support.missions.problems import corridor_of, make_problem, paper_problem
 
 
 def test_chebyshev_centres_are_inside_everything() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from planner import Limits, Trajectory, build_corridor, certify
 from planner.corridor.limit_check import CorridorCheck, speed_ratio
-from tests.support.planner_missions import make_problem
+from tests.support.missions.problems import make_problem
 
 
 @given(st.tuples(*[st.floats(-30, 30)] * 3), st.tuples(*[st.floats(-10, 10)] * 2), st.floats(0.1, 10.0), st.booleans())

@@ -11,7 +11,7 @@ from planner import Problem, build_corridor
 from planner.corridor.chebyshev import chebyshev_centres, slack_m
 from planner.corridor.polyline_program import polyline_length_m, settled, shortest_polyline
 from planner.paper.station_graph import shortest_sequence
-from tests.support.planner_missions import HARD_SCENES, HARD_SEQUENCES, corridor_of, make_problem
+from tests.support.missions.problems import HARD_SCENES, HARD_SEQUENCES, corridor_of, make_problem
 
 
 def test_p4_on_a_straight_line(two_stations: Problem) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from planner import ProblemError
 from planner.coverage.elevation_mask import ElevationMask
-from tests.support.planner_missions import make_problem
+from tests.support.missions.problems import make_problem
 
 # None, the horizon, 45 degrees (a slope of 1) and 30 degrees (a slope of 1 / sqrt 3).
 MASK = ElevationMask.of_each([None, 0.0, 45.0, 30.0])

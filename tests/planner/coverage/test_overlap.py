@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from planner.coverage.disc import covering_stations, disc_radius_m, range_to_meet_m, usable_stations
 from planner.coverage.overlap import MIN_OVERLAP_M, adjacent_pairs, overlap_depth_m, overlap_point_m
-from tests.support.planner_missions import make_problem, paper_problem, scene
+from tests.support.missions.problems import make_problem, paper_problem, scene
 
 
 def test_overlap_of_two_ground_stations_is_measured_at_the_floor_of_the_band() -> None:

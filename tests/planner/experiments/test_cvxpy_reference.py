@@ -11,7 +11,7 @@ from planner.errors import SolverError
 from planner.paper.alternating import AlternatingMinimisation, plan_paper
 from planner.paper.boundary import control_points
 from planner.paper.station_graph import shortest_sequence
-from tests.support.planner_missions import paper_problem
+from tests.support.missions.problems import paper_problem
 
 pytest.importorskip("cvxpy")
 

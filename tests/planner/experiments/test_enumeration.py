@@ -18,7 +18,7 @@ from planner.experiments.sequence_bound import sequence_bound_s, shortest_from_r
 from planner.joint.sequence_planner import Effort, plan_joint
 from planner.paper.alternating import plan_paper
 from planner.paper.station_graph import shortest_sequence
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.missions.problems import make_problem, paper_problem
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from planner import InfeasibleError, Problem, ProblemError, certify
 from planner.experiments.rivals import RIVALS, TimeAllocation, plan_by_rival
 from planner.paper.alternating import Iteration, plan_paper
 from planner.paper.station_graph import shortest_sequence
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.missions.problems import make_problem, paper_problem
 
 pytest.importorskip("nlopt")
 

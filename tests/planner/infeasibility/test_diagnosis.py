@@ -12,7 +12,7 @@ from planner.coverage.overlap import MIN_OVERLAP_M
 from planner.infeasibility import diagnosis
 from planner.infeasibility.diagnosis import diagnose
 from planner.remedy import RaiseLimit, RaiseRange, SetAltitude
-from tests.support.planner_missions import PAPER_LIKE, make_problem, paper_problem, scene
+from tests.support.missions.problems import PAPER_LIKE, make_problem, paper_problem, scene
 
 
 def applied(problem: Problem, found: Infeasibility) -> Problem:

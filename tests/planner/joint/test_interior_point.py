@@ -13,7 +13,7 @@ from planner.joint.interior_point import InteriorPointResult, Start, minimise_du
 from planner.joint.objective import Objective
 from planner.joint.program import build_program, first_guess, scale_of
 from planner.joint.transcription import Transcription
-from tests.support.planner_missions import make_problem
+from tests.support.missions.problems import make_problem
 
 
 def scene(problem: Problem, polyline: list[list[float]], pieces: int = 3) -> tuple[Transcription, Start]:

@@ -13,7 +13,7 @@ from planner.joint.sequence_planner import Effort, plan_joint, planar_problem, w
 from planner.planner import plan_alternating
 from planner.routing.bound import lower_bound
 from planner.routing.station_sequence import candidate_routes
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.missions.problems import make_problem, paper_problem
 
 TWO = [[0, 0, 0, 1000], [1600, 0, 0, 1000]]
 

@@ -23,7 +23,7 @@ from planner.joint.sequence_planner import planar_problem, without_rounding
 from planner.joint.solver import CorridorSolution, solve_corridor
 from planner.routing.bound import lower_bound
 from planner.routing.station_sequence import candidate_routes, is_chain
-from tests.support.planner_missions import PAPER_LIKE, make_problem, paper_problem, random_chain
+from tests.support.missions.problems import PAPER_LIKE, make_problem, paper_problem, random_chain
 
 Array = NDArray[np.float64]
 

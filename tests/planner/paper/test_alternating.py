@@ -17,7 +17,7 @@ from planner.infeasibility.diagnosis import diagnose
 from planner.paper.alternating import Iteration, plan_paper
 from planner.paper.station_graph import shortest_sequence
 from planner.routing.bound import lower_bound
-from tests.support.planner_missions import (
+from tests.support.missions.problems import (
     HARD_SCENES,
     HARD_SEQUENCES,
     PAPER_LIKE,

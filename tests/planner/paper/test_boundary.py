@@ -7,7 +7,7 @@ import numpy as np
 from planner import build_corridor
 from planner.paper.boundary import CONTROL_FROM_BOUNDARY, control_points, shortest_piece_s
 from planner.paper.initial import initial_durations
-from tests.support.planner_missions import make_problem
+from tests.support.missions.problems import make_problem
 
 
 def test_boundary_conditions_are_those_of_the_curve() -> None:

@@ -13,7 +13,7 @@ from planner.corridor.limit_check import CorridorCheck
 from planner.paper.alternating import AlternatingMinimisation
 from planner.paper.boundary import control_points
 from planner.paper.station_graph import shortest_sequence
-from tests.support.planner_missions import HARD_SCENES, HARD_SEQUENCES, corridor_of, paper_problem
+from tests.support.missions.problems import HARD_SCENES, HARD_SEQUENCES, corridor_of, paper_problem
 
 
 def test_p5_flattens_the_initial_trajectory_by_hand(two_stations: Problem) -> None:

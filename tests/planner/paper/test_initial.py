@@ -11,7 +11,7 @@ from planner import Problem, build_corridor
 from planner.corridor.limit_check import CorridorCheck
 from planner.paper.boundary import control_points, rest_at
 from planner.paper.initial import initial_durations, leg_durations
-from tests.support.planner_missions import corridor_of, make_problem
+from tests.support.missions.problems import corridor_of, make_problem
 
 
 def test_initial_durations_by_hand(two_stations: Problem) -> None:

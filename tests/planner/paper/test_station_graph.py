@@ -13,7 +13,7 @@ from planner import InfeasibleError, Problem, ProblemError
 from planner.coverage.disc import covering_stations
 from planner.coverage.overlap import adjacent_pairs
 from planner.paper.station_graph import check_sequence, shortest_sequence, weighted_edges
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.missions.problems import make_problem, paper_problem
 
 
 def as_networkx(problem: Problem) -> nx.Graph:

@@ -13,7 +13,7 @@ from planner.paper.alternating import AlternatingMinimisation
 from planner.paper.boundary import control_points
 from planner.paper.initial import leg_durations
 from planner.paper.time_search import _keep_tenure, shortest_durations
-from tests.support.planner_missions import corridor_of, make_problem, paper_problem
+from tests.support.missions.problems import corridor_of, make_problem, paper_problem
 
 
 def single(length_m: float, **options: Any) -> AlternatingMinimisation:

@@ -16,7 +16,7 @@ from planner import Limits, Problem
 from planner.routing.bound import lower_bound
 from planner.routing.navmesh import NavigationMesh
 from planner.speed_profile import fastest_time_s
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.missions.problems import make_problem, paper_problem
 
 Array = NDArray[np.float64]
 

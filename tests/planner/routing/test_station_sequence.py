@@ -20,7 +20,7 @@ from planner.routing import station_sequence
 from planner.routing.bound import lower_bound
 from planner.routing.portal_graph import PortalGraph
 from planner.routing.station_sequence import candidate_routes, geodesic_sequence, is_chain
-from tests.support.planner_missions import make_problem, paper_problem
+from tests.support.missions.problems import make_problem, paper_problem
 
 
 def random_problem(seed: int, count: int, side_m: float, **options: float) -> Problem:

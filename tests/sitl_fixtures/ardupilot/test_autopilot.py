@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
-from tests.support.sitl_station import (
+from tests.support.sitl.station import (
     ACCEPTED,
     ALL,
     AP_LAND,

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.faults import FAULTS, listing
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
-from tests.support.sitl_station import ACCEPTED, DENIED, FAILED, GUIDED, OFFBOARD, UNSUPPORTED, Rig, Station, airborne
+from tests.support.sitl.station import ACCEPTED, DENIED, FAILED, GUIDED, OFFBOARD, UNSUPPORTED, Rig, Station, airborne
 
 Check = Callable[[Rig, Station], None]
 CHECKS: dict[str, tuple[str, Check]] = {}

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from tests.support.sitl_station import ACCEPTED, GUIDED, Rig, Station, airborne
+from tests.support.sitl.station import ACCEPTED, GUIDED, Rig, Station, airborne
 
 
 def item(seq: int, command: int = 16, lat: float = 0.0, lon: float = 0.0, alt: float = 30.0, kind: int = 0) -> Any:

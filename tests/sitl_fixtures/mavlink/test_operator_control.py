@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from tests.support.sitl_station import ACCEPTED, FAILED, OFFBOARD, UNSUPPORTED, Rig, Station
+from tests.support.sitl.station import ACCEPTED, FAILED, OFFBOARD, UNSUPPORTED, Rig, Station
 
 REQUEST = 32100
 NOT_IN_CONTROL = 10

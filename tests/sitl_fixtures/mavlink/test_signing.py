@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from tests.support.sitl_station import GUIDED, Rig, Station
+from tests.support.sitl.station import GUIDED, Rig, Station
 
 KEY, WRONG = hashlib.sha256(b"right").digest(), hashlib.sha256(b"wrong").digest()
 STAMP = 37_524_196_245_164

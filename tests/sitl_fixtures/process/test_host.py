@@ -17,7 +17,7 @@ from sitl_fixtures.__main__ import main
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.process.host import Address, Host
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
-from tests.support.flight_processes import free_ports
+from tests.support.flights.processes import free_ports
 
 
 class Ground:
@@ -208,6 +208,13 @@ def test_options_that_cannot_be_end_with_two_and_say_why(
     assert words in captured.err
     assert options[0] in captured.err
     assert captured.out == ""
+
+
+@pytest.mark.parametrize("option", [["--home", "-35.3,149.1,584"], ["--home", "-.5,-70,3"], ["--wind", "-3,2"]])
+def test_numbers_may_begin_with_a_minus(option: list[str]) -> None:
+    """Every home south of the equator does."""
+    (port,) = free_ports(1)
+    assert main([*option, "--listen", f"udpin:127.0.0.1:{port}", "--duration", "0"]) == 0
 
 
 def test_a_taken_port_is_said_to_be_taken(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.flight_processes import free_ports
+from tests.support.flights.processes import free_ports
 
 mavsdk = pytest.importorskip("mavsdk")
 

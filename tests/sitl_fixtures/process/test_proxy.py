@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sitl_fixtures.errors import ConfigurationError
 from sitl_fixtures.process import Impairment, LossyChannel
 from sitl_fixtures.process.proxy import main
-from tests.support.flight_processes import free_ports
+from tests.support.flights.processes import free_ports
 
 
 def passed(channel: LossyChannel, count: int, interval_s: float = 0.02) -> list[tuple[float, int]]:

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from tests.support.paths import RECORDINGS
-from tests.support.sitl_replay import KEYS, Replay, compare, read_recording
+from tests.support.sitl.replay import KEYS, Replay, compare, read_recording
 
 TOLERANCE_S = 0.35
 KINDS = {

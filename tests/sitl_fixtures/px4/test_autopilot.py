@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_fixtures.mavlink.parameters import bits_of_int
-from tests.support.sitl_station import (
+from tests.support.sitl.station import (
     ACCEPTED,
     ALL,
     DENIED,

@@ -18,7 +18,7 @@ from sitl_fixtures.mavlink.parameters import INT32, REAL32, ParameterSet, bits_o
 from sitl_fixtures.mavlink.wire import PLAIN, Packer, Port
 from sitl_fixtures.px4.parameters import PX4
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
-from tests.support.sitl_station import ALL, POSITION_VELOCITY, Rig, airborne
+from tests.support.sitl.station import ALL, POSITION_VELOCITY, Rig, airborne
 
 
 def s_curve(speed: float, lateral_m_s2: float, now: float) -> tuple[float, ...]:

@@ -9,8 +9,8 @@ from gcs.flight import FlightState
 from gcs.mission import read_mission
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
-from tests.support.flight_plans import relay_document
-from tests.support.virtual_flight import VirtualFlight
+from tests.support.flights.virtual import VirtualFlight
+from tests.support.plans.planned import relay_document
 
 FIELDS = ("field-0", "field-1", "field-2")
 FAR = "far"

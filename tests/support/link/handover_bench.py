@@ -11,7 +11,7 @@ from link.director.core import FlightCore
 from link.handover.handover import handover_windows
 from link.session.request import FlightRequest
 from link.wire.codec import StationCodec
-from tests.support.flight_plans import relay_plan
+from tests.support.plans.planned import relay_plan
 
 TICK_S = 0.05
 

@@ -21,9 +21,9 @@ from link.dialect import mavlink
 from link.session.request import FlightRequest
 from link.transport.opening import open_endpoint
 from link.wire.codec import StationCodec
+from tests.support.flights.virtual import plan_home
 from tests.support.heartbeats import is_autopilot
 from tests.support.paths import ROOT
-from tests.support.virtual_flight import plan_home
 
 
 def free_ports(count: int) -> list[int]:

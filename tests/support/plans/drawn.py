@@ -84,7 +84,7 @@ def make_plan(
     )
 
 
-def relay_plan(duration_s: float = 300.0, handovers_s: Sequence[float] = (100.0, 200.5)) -> Plan:
+def drawn_relay_plan(duration_s: float = 300.0, handovers_s: Sequence[float] = (100.0, 200.5)) -> Plan:
     """Three stations, an S of about 6 km to the north-east at up to 40 m/s, climbing 40 m."""
     curve = rest_to_rest(
         (0, 0, 90), (2500, 200, 95), (1500, 2500, 110), (4500, 3500, 120), (4500, 4500, 130), duration_s=duration_s

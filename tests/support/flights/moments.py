@@ -8,9 +8,9 @@ from typing import Any
 
 from gcs.flight import FlightState
 from tests.scorecard.soak import counted
-from tests.support.flight_plans import relay_plan
-from tests.support.forks import in_fork
-from tests.support.virtual_flight import VirtualFlight
+from tests.support.flights.forks import in_fork
+from tests.support.flights.virtual import VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 SETPOINTS = ("SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED")
 

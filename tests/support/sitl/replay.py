@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl_fixtures.ardupilot.parameters import ARDUPILOT
 from sitl_fixtures.px4.parameters import PX4
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
-from tests.support.recordings import load
+from tests.support.link.recordings import load
 
 BOOT_S = {"ArduCopter": 0.06, "PX4": 0.37}
 READY_S = {"ArduCopter": 41.4, "PX4": 3.9}

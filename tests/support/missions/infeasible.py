@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from tests.support.malformed_missions import GOOD, GOOD_LOCAL
+from tests.support.missions.malformed import GOOD, GOOD_LOCAL
 
 Document = dict[str, Any]
 

@@ -1,6 +1,7 @@
 """A process that commits to a store as fast as it can and says so only after each commit; it is there to be killed.
 
-``python store_writer.py URL``: prints a mission id (or a flight event's number, negative) per committed line.
+``python -m tests.support.processes.store_writer URL``: prints a mission id (or a flight event's number,
+negative) per committed line.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from gcs.flight import EventKind, FlightEvent, FlightState
 from gcs.mission import read_mission, write_mission
 from gcs.store.missions import Idempotency
 from gcs.store.store import Store
-from tests.support.malformed_missions import GOOD
+from tests.support.missions.malformed import GOOD
 
 
 def main() -> None:

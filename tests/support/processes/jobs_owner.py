@@ -1,6 +1,7 @@
 """A service with planning processes that plans for ever; it is there to be killed.
 
-``python -m tests.support.jobs_owner URL``: prints the ids of its planning processes once they are warm, then waits.
+``python -m tests.support.processes.jobs_owner URL``: prints the ids of its planning processes once they
+are warm, then waits.
 """
 
 from __future__ import annotations

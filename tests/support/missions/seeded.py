@@ -13,7 +13,7 @@ from gcs.mission import read_mission
 from gcs.planning.mission_planning import plan_mission
 from planner import Problem
 from tests.support.checker import check_plan
-from tests.support.planner_missions import random_chain
+from tests.support.missions.problems import random_chain
 
 Document = dict[str, Any]
 # Metres per degree of latitude, near enough to scatter stations.
