@@ -9,8 +9,8 @@ import pytest
 from gcs.flight import FlightState, OperatorCommand, TransitionError
 from link.dialect import mavlink
 from link.monitors.evidence import UNKNOWN
-from tests.support.flight_plans import relay_plan
-from tests.support.tampered_flight import TamperedFlight, altered, without
+from tests.support.flights.tampered import TamperedFlight, altered, without
+from tests.support.plans.planned import relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 INT32_MAX = 2**31 - 1
@@ -49,9 +49,7 @@ def test_one_absurd_position_in_cruise_changes_nothing(autopilot: str, fields: d
     now = {"lat": round(position.lat_deg * 1e7), "lon": round(position.lon_deg * 1e7), "alt": 45_000, **fields}
     boot_ms = round(position.boot_s * 1e3) + 40
     velocity = (now.get("vx", 0), now.get("vy", 0), 0)
-    one.say(
-        mavlink.MAVLink_global_position_int_message(boot_ms, now["lat"], now["lon"], now["alt"], 0, *velocity, 0)
-    )
+    one.say(mavlink.MAVLink_global_position_int_message(boot_ms, now["lat"], now["lon"], now["alt"], 0, *velocity, 0))
     assert one.core.context.vehicle.monitor.position == position
     one.run(limit_s=200.0)
     assert one.core.state is FlightState.COMPLETED

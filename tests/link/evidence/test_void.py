@@ -10,7 +10,7 @@ import pytest
 from gcs.flight import FlightState, OperatorCommand, TransitionError
 from link.dialect import mavlink
 from tests.link.evidence.test_validated import BOTH, in_the_air, ready
-from tests.support.tampered_flight import TamperedFlight, altered
+from tests.support.flights.tampered import TamperedFlight, altered
 
 NORTH_50_M = round(50.0 / 0.0111319)
 
@@ -77,7 +77,7 @@ def test_home_far_from_the_vehicle_is_refused(autopilot: str) -> None:
 
 
 def relay_plan_2() -> object:
-    from tests.support.flight_plans import relay_plan
+    from tests.support.plans.planned import relay_plan
 
     return relay_plan(2)
 

@@ -7,7 +7,7 @@ import pytest
 from gcs.flight import FlightState
 from link.monitors.evidence import SILENT
 from tests.link.evidence.test_validated import BOTH, in_the_air, ready
-from tests.support.tampered_flight import TamperedFlight, altered
+from tests.support.flights.tampered import TamperedFlight, altered
 
 DOUBT = "the vehicle's position estimate is in doubt"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from link.dialect import mavlink
 from link.wire.codec import StationCodec
-from tests.support.virtual_flight import VirtualFlight
+from tests.support.flights.virtual import VirtualFlight
 
 Tamper = Callable[[float, str, Any], Iterable[Any]]
 """(now, link, message) to the messages that go down instead."""
