@@ -240,6 +240,15 @@ def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
+def umask() -> int:
+    """This process's mask of file modes, asked for without changing it: other threads are making files meanwhile."""
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+        return int(status.split("\nUmask:")[1].split()[0], 8)
+    except (OSError, IndexError, ValueError):
+        return 0o077  # cannot be asked for any other way: files for this user alone
+
+
 def write_atomic(path: str | Path, data: str | bytes) -> None:
     """Write a file whole or not at all: a temporary file beside it, synced, then renamed over it.
 
@@ -254,9 +263,7 @@ def write_atomic(path: str | Path, data: str | bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         # mkstemp makes files nobody else may read; a plan is no secret.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
+        os.chmod(name, 0o666 & ~umask())
         os.replace(name, target)
     except BaseException:
         Path(name).unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from gcs.geodesy.plane import Plane
 from gcs.geodesy.range_bounds import bound_speed_factor, height_factor
 from gcs.layout.findings import NoAirspeed, NoRangeLeft
 from gcs.layout.mission_geometry import MissionGeometry, choose_plane
-from gcs.mission.model import Mission
+from gcs.mission.model import Mission, overlap_after_target_s
 from planner import Limits, Problem, ProblemError
 from planner.arrays import Array, Indices
 
@@ -56,6 +56,8 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> PlanningProblem:
             min_overlap_s=options.min_overlap_s,
             min_tenure_s=options.min_tenure_s,
             max_handovers=options.max_handovers,
+            handover_tolerance=options.handover_tolerance,
+            overlap_after_target_s=_after_target_s(mission),
             bound_ranges_m=None if geometry.is_local else bound,
             bound_speed_factor=1.0 if geometry.is_local else k * bound_speed_factor(farthest, limits.min_alt_amsl_m),
             min_elevation_deg=mask.lowest_deg if mask.limited.any() else None,
@@ -66,6 +68,19 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> PlanningProblem:
     except ProblemError as error:
         raise PlanningFailed(f"the mission passed the door but makes no problem: {error}") from error
     return PlanningProblem(geometry, problem, stations)
+
+
+def _after_target_s(mission: Mission) -> float:
+    """The target of `overlap_after_target_s` in the ranges planned with: the margin taken off them comes on top."""
+    target_s = overlap_after_target_s(mission.options, mission.limits)
+    if any(station.min_elevation_deg is not None for station in mission.stations):
+        return target_s
+    return max(0.0, target_s - mission.options.range_margin_m / mission.limits.max_speed_m_s)
+
+
+def in_a_hurry(problem: Problem) -> Problem:
+    """As `without_endurance`, and the fastest plan whatever its handovers."""
+    return replace(without_endurance(problem), handover_tolerance=0.0, overlap_after_target_s=0.0)
 
 
 def without_endurance(problem: Problem) -> Problem:

@@ -136,13 +136,31 @@ def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Missi
     )
 
 
+def station_faults(document: object) -> list[InputFault]:
+    """What is wrong with one station on its own, its place in latitude and longitude; by the rules of a mission."""
+    faults = FaultList()
+    _station(Reader(document, "", faults, frozenset((*STATION_FIELDS, *GEO_FIELDS))), local=False)
+    return faults
+
+
 def with_options(mission: Mission, changes: Mapping[str, object]) -> Mission:
     """The same mission with some options (JSON values, by their document names) replaced, and validated again."""
     document = write_mission(mission)
     options = document["options"]
     assert isinstance(options, dict)
+    if "min_overlap_s" in changes:
+        # Defaults follow the overlap.
+        overlap_s = mission.options.min_overlap_s
+        for name, default in (("handover_tolerance", _tolerance(overlap_s)), ("overlap_target_s", _target(overlap_s))):
+            if options[name] == default:
+                del options[name]
     changed = read_mission({**document, "options": {**options, **changes}}, max_stations=len(mission.stations))
     return replace(changed, left_out=mission.left_out)
+
+
+def _tolerance(min_overlap_s: float) -> float:
+    """The default of ``handover_tolerance``: where a handover asks for nothing it costs nothing."""
+    return MissionOptions().handover_tolerance if min_overlap_s > 0.0 else 0.0
 
 
 def _refuse_strangers(document: object) -> None:
@@ -270,18 +288,37 @@ def _options(reader: Reader, station_ids: list[str]) -> MissionOptions:
             reader.faults.add(where, "is no station of this mission", item, "ids of stations", fix)
         else:
             excluded.append(item)
+    overlap_s = reader.number("min_overlap_s", 0.0, 3_600.0, "s", default=default.min_overlap_s)
     return MissionOptions(
-        min_overlap_s=reader.number("min_overlap_s", 0.0, 3_600.0, "s", default=default.min_overlap_s),
+        min_overlap_s=overlap_s,
         range_margin_m=reader.number("range_margin_m", 0.0, MAX_RANGE_M, "m", default=default.range_margin_m),
         min_tenure_s=reader.number("min_tenure_s", 0.0, 86_400.0, "s", default=default.min_tenure_s),
         vehicle_system_id=default.vehicle_system_id if vehicle is None else vehicle,
         on_arrival=reader.choice("on_arrival", ("land", "hold"), default.on_arrival),
         excluded_stations=tuple(dict.fromkeys(excluded)),
         max_handovers=reader.integer("max_handovers", 0, MAX_STATIONS, default=None),
+        handover_tolerance=reader.number(
+            "handover_tolerance", 0.0, 1.0, "(part of the mission time)", default=_tolerance(overlap_s)
+        ),
+        overlap_target_s=_overlap_target(reader, overlap_s),
         objective=_objective(reader),
         start_state=_start_state(reader) if reader.has("start_state") else None,
         arrival_s=reader.optional_number("arrival_s", 0.0, MAX_TIME_S, "s", above_low=True),
     )
+
+
+def _overlap_target(reader: Reader, min_overlap_s: float) -> str | float:
+    value = reader.data.get("overlap_target_s")
+    if value is None:
+        return _target(min_overlap_s)
+    if isinstance(value, str):
+        return reader.choice("overlap_target_s", ("auto",), "auto")
+    return reader.number("overlap_target_s", 0.0, 3_600.0, "s")
+
+
+def _target(min_overlap_s: float) -> str | float:
+    """The default of ``overlap_target_s``."""
+    return MissionOptions().overlap_target_s if min_overlap_s > 0.0 else 0.0
 
 
 def _objective(reader: Reader) -> str | float:

@@ -17,18 +17,18 @@ from gcs.errors import Finding, PlanningFailed
 from gcs.geodesy.plane import Plane
 from gcs.layout.planning_problem import lay_out
 from gcs.layout.problem_planner import PlannerLike, ProblemPlanner
-from gcs.mission.model import Mission
+from gcs.mission.model import Mission, overlap_after_target_s
 from gcs.mission.plausibility import doubts
 from gcs.mission.system_ids import MOST_STATIONS
 from gcs.plan.contingency import contingencies
-from gcs.plan.handover_schedule import schedule
-from gcs.plan.model import Plan
+from gcs.plan.handover_schedule import Handover, schedule
+from gcs.plan.model import Fastest, Plan
 from gcs.planning.certification import certify_true, true_lower_bound_s
 from gcs.planning.solve import solve
 from gcs.remedies.explanation import explain
 from gcs.remedies.findings import TooManyStations
 from gcs.timestamps import utc_text
-from planner import Method, Planner, Trajectory
+from planner import Method, Planner, Problem, Solution, Trajectory
 
 Progress = Callable[[str, float], None]
 
@@ -124,11 +124,16 @@ def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
         remarks.append(
             f"planned within a time limit of {how.planner.time_limit_s:g} s: another machine may plan otherwise"
         )
+    fastest = None
+    if solution.fastest_s is not None and solution.fastest_handovers is not None:
+        fastest = Fastest(solution.fastest_s, solution.fastest_handovers, solution.fewer_cost_s)
+    handovers = schedule(geometry, curve)
+    remarks += _overlap_remarks(mission, solution, handovers)
     plan = Plan(
         mission=named,
         trajectory=curve,
         plane=geometry.plane,
-        handovers=schedule(geometry, curve),
+        handovers=handovers,
         contingencies=contingencies(geometry, curve),
         certificate=certificate,
         lower_bound_s=true_lower_bound_s(laid, solution),
@@ -139,9 +144,29 @@ def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
         planner_version=product_version(),
         iterations=solution.iterations,
         notes=tuple(remarks),
+        fastest=fastest,
     )
     tell("done", 1.0)
     return plan
+
+
+def _overlap_remarks(mission: Mission, solution: Solution, handovers: Sequence[Handover]) -> list[str]:
+    """What the overlaps aimed at cost, and which handovers fall short of them."""
+    target_s = overlap_after_target_s(mission.options, mission.limits)
+    remarks = []
+    if solution.overlap_cost_s >= 0.05:
+        remarks.append(
+            f"overlaps as long as aimed at ({target_s:.1f} s after a handover) cost {solution.overlap_cost_s:.1f} s"
+        )
+    short = [h for h in handovers if h.overlap_end_s - h.time_s < target_s - 1e-6]
+    if short:
+        which = ", ".join(f"{h.index} ({h.overlap_end_s - h.time_s:.1f} s)" for h in short)
+        price_s = Problem.price_s(solution.trajectory.duration_s)
+        remarks.append(
+            f"handovers that fall short of {target_s:.1f} s of overlap after them, which would cost more than "
+            f"{price_s:.1f} s each: {which}"
+        )
+    return remarks
 
 
 def problem_planner(planner: PlannerLike | None, method: Method, time_limit_s: float | None = None) -> ProblemPlanner:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from gcs.errors import Finding
-from gcs.layout.planning_problem import lay_out, without_endurance
+from gcs.layout.planning_problem import in_a_hurry, lay_out, without_endurance
 from gcs.layout.problem_planner import ProblemPlanner
 from gcs.mission.model import Mission
 from gcs.remedies.application import applied
@@ -37,7 +37,7 @@ def planned_s(mission: Mission, planner: ProblemPlanner) -> float:
     Raises `Finding` for a mission that makes no problem.
     """
     try:
-        return planner.plan(without_endurance(lay_out(mission).problem)).trajectory.duration_s
+        return planner.plan(in_a_hurry(lay_out(mission).problem)).trajectory.duration_s
     except (InfeasibleError, SolverError):
         return math.inf
 

@@ -15,7 +15,7 @@ from planner.coverage.elevation_mask import ElevationMask
 from planner.coverage.overlap import overlap_depth_m
 from planner.joint import control_rows
 from planner.joint.transcription import HeightConstraints, NormConstraints, Transcription
-from planner.problem import Problem
+from planner.problem import Limits, Problem
 from planner.speed_profile import speed_profile
 from planner.trajectory import Trajectory
 
@@ -98,10 +98,7 @@ def min_piece_durations_s(problem: Problem, corridor: Corridor, scale: Scale, wa
     Tenure bounds a sum; bounding the leg's own pieces instead keeps the program banded, and costs nothing where the
     leg is longer anyway.
     """
-    # The certificate recomputes accelerations from control points, which loses eps |P| / T^2 of them.
-    extent = float(np.abs(waypoints_m).max())
-    numeric = np.sqrt(80.0 * np.finfo(float).eps * extent / (2.5e-10 * problem.limits.max_accel_m_s2))
-    least = max(float(numeric), LEAST_PIECE * scale.time_s)
+    least = max(least_piece_s(problem.limits, waypoints_m), LEAST_PIECE * scale.time_s)
     shortest = np.array([max(piece.min_duration_s * (1.0 + SHRINK), least) for piece in corridor.pieces])
     for leg in range(len(corridor.sequence)):
         pieces = corridor.leg_pieces(leg)
@@ -110,6 +107,15 @@ def min_piece_durations_s(problem: Problem, corridor: Corridor, scale: Scale, wa
         if missing > 0:
             shortest[own] += missing / len(own)
     return shortest
+
+
+def least_piece_s(limits: Limits, points_m: Array) -> float:
+    """Shortest piece among ``points_m`` that numbers bear.
+
+    The certificate recomputes accelerations from control points, which loses eps |P| / T^2 of them.
+    """
+    extent = float(np.abs(points_m).max())
+    return float(np.sqrt(80.0 * np.finfo(float).eps * extent / (2.5e-10 * limits.max_accel_m_s2)))
 
 
 def inner_radii_m(problem: Problem, corridor: Corridor) -> Array:

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from tests.support.infeasible_missions import local, wgs84
 
 from gcs.errors import InputFault, MissionError, MissionInfeasible
 from gcs.exports import parse_launch, summary
@@ -17,6 +16,7 @@ from gcs.mission import parse_mission_json, read_mission, with_options
 from gcs.planning.certification import recertify
 from gcs.planning.mission_planning import plan_mission
 from tests.support.field_missions import field_mission, text_of
+from tests.support.missions.infeasible import local, wgs84
 
 
 def faults_of(document: Any) -> list[InputFault]:

@@ -6,13 +6,13 @@ import re
 from typing import Any
 
 import pytest
-from tests.support.infeasible_missions import local
 
 from gcs.errors import MissionInfeasible
 from gcs.mission import read_mission
 from gcs.planning.mission_planning import plan_mission
 from gcs.remedies.trial import is_linked
 from tests.support.field_missions import field_mission
+from tests.support.missions.infeasible import local
 from tests.support.remedies import apply, remedies
 
 PRINTED_PLACE = re.compile(r"(-?\d+\.\d+), (-?\d+\.\d+), (-?\d+\.\d) m AMSL")
