@@ -79,6 +79,8 @@ class Launch:
         self.ground_amsl_m = 0.0
         self.commanded = flight.request.auto_launch
         self.preflight_id = 0
+        self.stuck = False
+        """Whether the climb ended without its height."""
         self._passed_s: float | None = None
         """The flight's clock when the last preflight passed."""
 
@@ -89,7 +91,7 @@ class Launch:
         yield from self._preflight()
         yield from self._wait_for_command()
         self._timeline.become(FlightState.ARMING, "launch")
-        yield from TakeOff(self._flight, self.restore).run(self.ground_amsl_m)
+        self.stuck = yield from TakeOff(self._flight, self.restore).run(self.ground_amsl_m)
 
     # -- connect ------------------------------------------------------------------------------------------------------
 

@@ -33,14 +33,16 @@ class TakeOff:
         self._control = flight.control
         self._restore = restore
 
-    def run(self, ground_amsl_m: float) -> Steps[None]:
-        """All of it, from the ground at that altitude. Raises `Refused` while the vehicle is on the ground."""
-        if self._vehicle.profile.climbs_by_command:
-            yield from self._climb_by_command(ground_amsl_m)
-        else:
-            yield from self._climb_by_setpoints(ground_amsl_m)
+    def run(self, ground_amsl_m: float) -> Steps[bool]:
+        """All of it, from the ground at that altitude; whether the vehicle is stuck on the way up.
 
-    def _climb_by_command(self, ground_amsl_m: float) -> Steps[None]:
+        Raises `Refused` while the vehicle is on the ground.
+        """
+        if self._vehicle.profile.climbs_by_command:
+            return (yield from self._climb_by_command(ground_amsl_m))
+        return (yield from self._climb_by_setpoints(ground_amsl_m))
+
+    def _climb_by_command(self, ground_amsl_m: float) -> Steps[bool]:
         timeline, vehicle = self._timeline, self._vehicle
         yield from self._enter(vehicle.profile.offboard_mode, None)
         yield from self._arm(None)
@@ -60,6 +62,7 @@ class TakeOff:
             timeline.alarm("take-off stuck", height_m=height_m)
         # Arming lays home anew, and may tell the origin again.
         vehicle.adopt_origin(self._flight.plan.station_ids[0])
+        return not climbed
 
     def _at_height(self, up_m: float) -> bool:
         vehicle = self._vehicle
@@ -68,7 +71,7 @@ class TakeOff:
             return False
         return abs(here[2] - up_m) <= SETTLED_M and abs(position.velocity_ned_m_s[2]) <= SETTLED_M_S
 
-    def _climb_by_setpoints(self, ground_amsl_m: float) -> Steps[None]:
+    def _climb_by_setpoints(self, ground_amsl_m: float) -> Steps[bool]:
         timeline, vehicle, control = self._timeline, self._vehicle, self._control
         here = vehicle.position_enu_m()
         assert here is not None
@@ -94,13 +97,14 @@ class TakeOff:
         deadline_s = timeline.now_s + line.duration_s + 60.0
         while not (climb.finished and self._at_height(up_m)):
             if not vehicle.armed or not vehicle.follows:
-                return
+                return False
             if timeline.now_s >= deadline_s:
                 timeline.alarm("take-off stuck", height_m=up_m + self._flight.plan.plane.alt_amsl_m - ground_amsl_m)
-                return
+                return True
             climb.step(period_s, 1.0)
             control.send_setpoint(climb.setpoint())
             yield
+        return False
 
     def _enter(self, mode: str, streamed: Setpoint | None) -> Steps[None]:
         """Enter a mode, disarmed; believes the HEARTBEAT. Raises `Refused`."""

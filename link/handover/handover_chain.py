@@ -7,6 +7,7 @@ import math
 from gcs.flight import HandoverState, TransitionError
 from link.handover.handover import Handover, HandoverWindow, handover_windows
 from link.session.context import FlightContext
+from link.session.coverage import choices
 from link.session.request import FlightRequest, HandoverWay
 
 WINDOW_GUARD_S = 0.5
@@ -89,6 +90,8 @@ class HandoverChain:
             if window is None or not window.covered_by_next(time_s):
                 continue
             if not self._vehicle.monitor.proven_within(timeline.now_s, window.to_station, TAKEOVER_PROVEN_S):
+                continue
+            if window.to_station not in choices(self._flight):
                 continue
             self._distrusted_s[window.from_station] = timeline.now_s
             self._for(window).step(time_s, at_once=reason)
