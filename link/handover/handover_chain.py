@@ -34,6 +34,8 @@ class HandoverChain:
         self._control = flight.control
         self.windows = handover_windows(flight.plan)
         self.leg = 0
+        self.done_forward = self.done_back = 0
+        """Handovers confirmed so far, along the plan and back."""
         self.handover: Handover | None = None
         self._accepted: set[int] = set()
         self._refused: dict[int, str] = {}
@@ -156,4 +158,8 @@ class HandoverChain:
     def _settle(self) -> None:
         if self.handover is not None and self.handover.done:
             self.leg = self.handover.window.to_leg
+            if self.handover.window.forward:
+                self.done_forward += 1
+            else:
+                self.done_back += 1
             self.handover = None

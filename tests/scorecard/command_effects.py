@@ -96,7 +96,7 @@ def _ended(state: FlightState) -> Callable[[VirtualFlight], None]:
 
 _WAIT: dict[str, Any] = {"auto_launch": False}
 MOMENTS: tuple[Moment, ...] = (
-    Moment(S.CONNECTING, "connecting", lambda one: one.run_for(0.1), {}),
+    Moment(S.CONNECTING, "connecting", lambda one: one.run_for(0.02), {}),
     Moment(S.IDENTIFYING, "identifying", _to(S.IDENTIFYING), {}),
     Moment(S.PREFLIGHT, "preflight", _to(S.PREFLIGHT, 0.2), {}),
     Moment(S.READY, "ready", _to(S.READY, 1.0), _WAIT),
@@ -280,14 +280,14 @@ def page() -> str:
     lines = [
         "# Commands, and when every phase ends",
         "",
-        "What each operator command does in each state of a flight, on both autopilots. The code accepts commands by this"
-        " table (`gcs.operator_commands`), and each cell is flown in virtual time on both autopilot models; the page is"
-        " printed from it (`python -m tests.scorecard.command_effects`). An empty cell is refused: the words say what the"
-        " command needs, which state the flight is in and what it takes instead, and nothing changes.",
+        "What each operator command does in each state of a flight, on both autopilots. The code accepts commands by"
+        " this table (`gcs.operator_commands`), and each cell is flown in virtual time on both autopilot models; the"
+        " page is printed from it (`python -m tests.scorecard.command_effects`). An empty cell is refused: the words say what"
+        " the command needs, which state the flight is in and what it takes instead, and nothing changes.",
         "",
-        "Ctrl-C of `skyrelay fly` (and SIGTERM, of it and of the streamer) is `abort`, from the moment the vehicle is"
-        " asked anything; a second Ctrl-C lets go of the vehicle, whose own failsafe then has it. `skyrelay flight ID"
-        " COMMAND` and REST give the same commands.",
+        "Ctrl-C of `skyrelay fly` (and SIGTERM, of it and of the streamer) is `abort`, from the moment the vehicle"
+        " is asked anything; a second Ctrl-C lets go of the vehicle, whose own failsafe then has it. `skyrelay"
+        " flight ID COMMAND` and REST give the same commands.",
         "",
         f"| state | {' | '.join(heads)} |",
         "|---|" + "---|" * len(heads),
@@ -304,15 +304,15 @@ def page() -> str:
         "|---|---|",
         *(f"| {effect.value} | {EFFECT_TEXTS[effect]} |" for effect in Effect),
         "",
-        "A command given while the flight is being stopped on the ground is refused as too late. `refuse` names a handover"
-        " to come; `replan` needs a plan made for this flight's place.",
+        "A command given while the flight is being stopped on the ground is refused as too late. `refuse` names a"
+        " handover to come; `replan` needs a plan made for this flight's place.",
         "",
         "## How it ends",
         "",
         "| end | exit code of `fly` | |",
         "|---|---|---|",
         "| completed | 0 | flown as planned, landed at the destination |",
-        "| landed | 0 | landed where it was because an operator commanded `land`; not the mission as planned, and told so |",
+        "| landed | 0 | landed where it was because an operator commanded `land`; told so, not as planned |",
         "| refused | 4 | never armed |",
         "| contingency | 4 | down, other than planned: an abort, a hold that ran out, a lost C2 link |",
         "| lost | 4 | its own failsafe has it, or it is no longer heard, or it does not disarm |",
@@ -325,9 +325,9 @@ def page() -> str:
         "|---|---|---|",
         *(f"| {state.value} | {PHASES[state].limit} | {PHASES[state].end} |" for state in OPEN),
         "",
-        "A landing that was seen and is left for another mode, in the air for 3 s, is not asked for again: somebody else"
-        " has the vehicle, and the flight is silent (lapsed). Motors are asked off without force: the autopilot itself"
-        " refuses while it thinks that it flies.",
+        "A landing that was seen and is left for another mode, in the air for 3 s, is not asked for again: somebody"
+        " else has the vehicle, and the flight is silent (lapsed). Motors are asked off without force: the autopilot"
+        " itself refuses while it thinks that it flies.",
     ]
     return "\n".join(lines) + "\n"
 
