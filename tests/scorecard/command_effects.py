@@ -81,7 +81,7 @@ def _lapse(one: VirtualFlight) -> None:
 def _ended(state: FlightState) -> Callable[[VirtualFlight], None]:
     def reach(one: VirtualFlight) -> None:
         if state is S.REFUSED:
-            one.run(until=lambda: one.core.state is S.READY, limit_s=100.0)
+            one.run(until=lambda: one.core.state is S.PREFLIGHT, limit_s=100.0)
             one.core.command("abort")
         elif state in (S.LANDED, S.CONTINGENCY):
             _climb(one)
@@ -96,7 +96,7 @@ def _ended(state: FlightState) -> Callable[[VirtualFlight], None]:
 
 _WAIT: dict[str, Any] = {"auto_launch": False}
 MOMENTS: tuple[Moment, ...] = (
-    Moment(S.CONNECTING, "connecting", lambda one: one.run_for(0.02), {}),
+    Moment(S.CONNECTING, "connecting", lambda one: one.step(), {}),
     Moment(S.IDENTIFYING, "identifying", _to(S.IDENTIFYING), {}),
     Moment(S.PREFLIGHT, "preflight", _to(S.PREFLIGHT, 0.2), {}),
     Moment(S.READY, "ready", _to(S.READY, 1.0), _WAIT),
@@ -148,7 +148,7 @@ def try_cell(one: VirtualFlight, moment: Moment, command: OperatorCommand) -> li
     problems = [f"{effect.value}: {problem}" for problem in CHECKS[effect](one, moment, began_s)]
     if not any(e.kind == "word" and e.data["word"] == command for e in one.events[count:]):
         problems.append("the command is not in the history")
-    if sent == len(one.sent) and not moment.state.ended and effect is not E.NOTE:
+    if sent == len(one.sent) and moment.state is not S.CONNECTING and effect is not E.NOTE:
         problems.append("silence")
     return problems
 
@@ -217,6 +217,7 @@ def _stops(one: VirtualFlight, moment: Moment, began_s: float) -> list[str]:
 
 def _becomes(*states: FlightState, within_s: float = 0.2) -> Callable[[VirtualFlight, Moment, float], list[str]]:
     def check(one: VirtualFlight, moment: Moment, began_s: float) -> list[str]:
+        one.run_for(0.1)
         one.run(until=lambda: one.core.state in states, limit_s=within_s)
         return [] if one.core.state in states else [f"is {one.core.state}, not {' or '.join(states)}"]
 
@@ -282,8 +283,8 @@ def page() -> str:
         "",
         "What each operator command does in each state of a flight, on both autopilots. The code accepts commands by"
         " this table (`gcs.operator_commands`), and each cell is flown in virtual time on both autopilot models; the"
-        " page is printed from it (`python -m tests.scorecard.command_effects`). An empty cell is refused: the words say what"
-        " the command needs, which state the flight is in and what it takes instead, and nothing changes.",
+        " page is printed from it (`python -m tests.scorecard.command_effects`). An empty cell is refused: the words"
+        " say what the command needs, which state the flight is in and what it takes instead, and nothing changes.",
         "",
         "Ctrl-C of `skyrelay fly` (and SIGTERM, of it and of the streamer) is `abort`, from the moment the vehicle"
         " is asked anything; a second Ctrl-C lets go of the vehicle, whose own failsafe then has it. `skyrelay"
