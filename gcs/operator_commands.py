@@ -52,7 +52,7 @@ EFFECT_TEXTS: Mapping[Effect, str] = MappingProxyType(
         Effect.GO_ON: "goes on as before the hold; holds again where its reason still stands",
         Effect.RE_ENTER: "back in: HOLD (PX4), the setpoint mode, a transit to the path in range of a proved station;"
         " else an alarm says why not, and it stays silent",
-        Effect.CONTINGENCY: "the contingency procedure in force",
+        Effect.CONTINGENCY: "the contingency procedure in force; held on the way to the plan: a landing",
         Effect.GO_ON_RETURNING: "the contingency procedure is being flown and goes on",
         Effect.ABANDON: "the autopilot's landing mode at once, where the vehicle is; ends `contingency`",
         Effect.LAST_RESORT: "the vehicle is told to return by itself (or to land, as the request says), over the best"

@@ -11,6 +11,7 @@ from link.session.context import FlightContext
 from link.session.coverage import margin_m, nearest
 
 AGAIN_S = 60.0
+LOOK_S = 1.0
 MOVING_M_S = 0.3
 WINDOW_S = 5.0
 
@@ -26,7 +27,8 @@ class LapseWatch:
         self._told_s = -math.inf
         self._mode: str | None = None
         self._down = False
-        self._entering = False
+        self._entering = self._offered = False
+        self._looked_s = -math.inf
         self._was: tuple[float, str, float] | None = None
         self._closes_m_s: float | None = None
 
@@ -35,17 +37,27 @@ class LapseWatch:
         timeline, vehicle = self._timeline, self._vehicle
         if timeline.state is not FlightState.LAPSED:
             self._told_s, self._mode, self._down, self._was = -math.inf, vehicle.mode, False, None
-            self._closes_m_s = None
+            self._closes_m_s, self._offered = None, False
             return
         self._measure()
         down = vehicle.on_ground
         again = timeline.now_s - self._told_s >= AGAIN_S
         ended = self._entering and not self._lost_link.entering
         self._entering = self._lost_link.entering
-        if again or vehicle.mode != self._mode or (down and not self._down) or ended:
+        offered = self._offers() and not self._offered
+        self._offered = self._offered or offered
+        if again or offered or vehicle.mode != self._mode or (down and not self._down) or ended:
             self._told_s, self._mode, self._down = timeline.now_s, vehicle.mode, down
             picture = self.picture()
             timeline.alarm("lost C2 link", **{k: v for k, v in picture.items() if v is not None})
+
+    def _offers(self) -> bool:
+        """Whether a resume may succeed, looked at once a second."""
+        now_s = self._timeline.now_s
+        if self._offered or now_s - self._looked_s < LOOK_S:
+            return False
+        self._looked_s = now_s
+        return not self._lost_link.no_way_back()
 
     def _measure(self) -> None:
         """How fast the vehicle comes back into range: of the station nearest to it, over some seconds."""
