@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+from collections.abc import Sequence
 
 from sitl_fixtures.errors import ConfigurationError, SimulatorError
 from sitl_fixtures.faults.injection import listing
@@ -47,9 +49,20 @@ def numbers(where: str, text: str | None, count: int) -> tuple[float, ...] | Non
     return values
 
 
+def with_negative_values(arguments: Sequence[str]) -> list[str]:
+    """``--home -35.3,149.1,584`` as ``--home=-35.3,...``: argparse takes numbers with a minus for an option."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and re.match(r"-[\d.]", argument) and joined[-1].startswith("--") and "=" not in joined[-1]:
+            joined[-1] += "=" + argument
+        else:
+            joined.append(argument)
+    return joined
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulator; the exit code is 2 for options that cannot be used."""
-    options = parser().parse_args(arguments)
+    options = parser().parse_args(with_negative_values(sys.argv[1:] if arguments is None else arguments))
     if options.list_faults:
         sys.stdout.write(listing() + "\n")
         return 0

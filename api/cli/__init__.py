@@ -16,7 +16,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from api.cli.bench import command as bench_command
-from api.cli.commands import flight, fly, handovers, plan, report, serve, setpoints, simulate
+from api.cli.commands import backup, flight, fly, handovers, plan, report, serve, setpoints, simulate
 from api.cli.demo import command as demo_command
 from api.cli.doctor import machine as doctor_command
 from api.cli.errors import (
@@ -74,6 +74,7 @@ for _panel, _module in (
     ("Fly", report),
     ("Run", demo_command),
     ("Run", serve),
+    ("Run", backup),
     ("Check", bench_command),
     ("Check", doctor_command),
 ):

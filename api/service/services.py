@@ -10,6 +10,8 @@ from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+import anyio
+
 from api.service.changes import Changes
 from api.service.flights import FlightService
 from api.service.metrics import Metrics
@@ -46,14 +48,6 @@ class Cache(Generic[K, V]):
         return value
 
 
-@dataclass(frozen=True)
-class PlanFacts:
-    """What a list of missions shows of a plan."""
-
-    mission_time_s: float
-    handover_count: int
-
-
 @dataclass
 class Services:
     """The parts of a running service."""
@@ -65,8 +59,8 @@ class Services:
     changes: Changes
     flights: FlightService
     replanning: Replanning
+    probes: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(2))
     plans: Cache[str, Plan] = field(default_factory=lambda: Cache(16))
-    facts: Cache[str, PlanFacts] = field(default_factory=lambda: Cache(10_000))
 
     @classmethod
     @contextlib.contextmanager
@@ -116,14 +110,3 @@ class Services:
             return read_plan(self.store.missions.plan(record.id, record.version))
 
         return self.plans.get(record.plan_sha256, load)
-
-    def facts_of(self, record: MissionRecord) -> PlanFacts | None:
-        """What lists show of a version's plan; None while it has none."""
-        if record.status != "planned" or record.plan_sha256 is None:
-            return None
-
-        def load() -> PlanFacts:
-            document = self.store.missions.plan(record.id, record.version) or {}
-            return PlanFacts(float(document["mission_time_s"]), len(document["handovers"]))
-
-        return self.facts.get(record.plan_sha256, load)

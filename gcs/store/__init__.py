@@ -3,6 +3,7 @@
 from gcs.store.flights import FlightRecord
 from gcs.store.missions import Idempotency, MissionRecord
 from gcs.store.registries import Entry
+from gcs.store.safety_copy import back_up, restore
 from gcs.store.store import Store
 
-__all__ = ["Entry", "FlightRecord", "Idempotency", "MissionRecord", "Store"]
+__all__ = ["Entry", "FlightRecord", "Idempotency", "MissionRecord", "Store", "back_up", "restore"]

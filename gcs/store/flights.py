@@ -15,7 +15,8 @@ from sqlalchemy.exc import IntegrityError
 from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.flight import FlightEvent, FlightState
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
+from gcs.store.documents import dump, load_for_list
+from gcs.store.missions import Clock, stored_utc
 from gcs.store.tables import flight_events, flights, mission_versions
 
 log = logging.getLogger(__name__)
@@ -61,7 +62,10 @@ class FlightStore:
         Raises `NotFoundError` for an unknown version; `ConflictError` when that version has no plan, or another one
         than ``plan_sha256``, or the vehicle flies already.
         """
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            # The same names and order everywhere: what is judged here stays so until the flight is there.
+            self._db.lock(connection, "mission", mission_id)
+            self._db.lock(connection, "flights of", vehicle_id)
             planned = connection.execute(
                 select(mission_versions.c.status, mission_versions.c.plan_sha256).where(
                     mission_versions.c.mission_id == mission_id, mission_versions.c.version == version
@@ -225,4 +229,5 @@ class FlightJournal:
 
 def _record(row: RowMapping) -> FlightRecord:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
-    return FlightRecord(**{**values, "state": FlightState(values["state"]), "document": json.loads(values["document"])})
+    document = load_for_list(values["document"], f"what is kept with flight {values['id']}") or {}
+    return FlightRecord(**{**values, "state": FlightState(values["state"]), "document": document})

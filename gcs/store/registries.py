@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,8 @@ from sqlalchemy import RowMapping, delete, insert, select, update
 
 from gcs.errors import ConflictError, NotFoundError
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
+from gcs.store.documents import dump, load_for_list
+from gcs.store.missions import Clock, stored_utc
 from gcs.store.tables import registry
 
 KINDS = ("station", "vehicle", "link")
@@ -45,7 +45,8 @@ class RegistryStore:
         """
         _check_kind(kind)
         here = (registry.c.kind == kind) & (registry.c.id == entry_id)
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            self._db.lock(connection, kind, entry_id)
             found = connection.execute(select(registry).where(here)).first()
             present = 0 if found is None else int(found.revision)
             if revision is not None and revision != present:
@@ -81,7 +82,7 @@ class RegistryStore:
     def remove(self, kind: str, entry_id: str) -> None:
         """Forget an entry. Raises `NotFoundError`."""
         _check_kind(kind)
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             gone = connection.execute(
                 delete(registry).where(registry.c.kind == kind, registry.c.id == entry_id)
             ).rowcount
@@ -96,4 +97,5 @@ def _check_kind(kind: str) -> None:
 
 def _entry(row: RowMapping) -> Entry:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
-    return Entry(**{**values, "document": json.loads(values["document"])})
+    document = load_for_list(values["document"], f"{values['kind']} {values['id']}") or {}
+    return Entry(**{**values, "document": document})

@@ -25,6 +25,7 @@ from link.handover.handover_chain import HandoverChain
 from link.monitors.battery import BatteryWatch
 from link.monitors.control_loss import ControlLossMonitor
 from link.monitors.latency_compensation import LatencyCompensation
+from link.monitors.motion import MotionWatch
 from link.monitors.range_margin import RangeWatch
 from link.monitors.tracking import LagMonitor
 from link.monitors.uplink import UplinkMonitor
@@ -51,6 +52,7 @@ class Airborne:
         self.lag = LagMonitor(timeline, vehicle, self.latency, speedup=flight.request.speedup)
         self.uplink = UplinkMonitor(timeline, vehicle, control)
         self.range = RangeWatch(flight)
+        self.motion = MotionWatch(flight, self.lag)
         self.battery = BatteryWatch(timeline, vehicle)
         self.control_loss = ControlLossMonitor(flight, self.chain, self.lag, self.uplink, self.range)
         self.guidance = Guidance(flight, self.chain, self.latency, self.lag)
@@ -74,7 +76,9 @@ class Airborne:
     def _transit_to(self, time_s: float, reason: str) -> None:
         """Straight to a time of the plan, from where the vehicle is."""
         here = self._vehicle.position_enu_m()
-        assert here is not None
+        if here is None:
+            self._lose_link("where the vehicle is is not known", pin=False)
+            return
         self.guidance.transit(here, time_s)
         self._control.last_setpoint_s = self._timeline.now_s
         self.control_loss.begin()
@@ -100,6 +104,7 @@ class Airborne:
         self.latency.update(dt_s)
         self.uplink.update()
         self.range.update()
+        self.motion.update()
         self.battery.update(self.guidance.left_s)
         if state is FlightState.LAPSED:
             self._link_lost()
@@ -132,10 +137,7 @@ class Airborne:
 
     @property
     def _settled(self) -> bool:
-        tracking, position = self.lag.tracking, self._vehicle.monitor.position
-        if tracking is None or position is None:
-            return False
-        return tracking.error_m <= ARRIVED_M and position.speed_m_s <= SLOW_M_S
+        return self.lag.settled(ARRIVED_M, SLOW_M_S)
 
     @property
     def _there(self) -> bool:
@@ -205,14 +207,13 @@ class Airborne:
         timeline, guidance = self._timeline, self.guidance
         rate = guidance.rate_followed
         if self.lag.blind:
-            timeline.alarm(HoldReason.BLIND.value)
             self._hold(HoldReason.BLIND)
-        elif self.lag.lost:
+        elif self.lag.lost or (guidance.reference.finished and self.lag.away_s > SETTLE_LIMIT_S):
             self._hold(HoldReason.NOT_FOLLOWING)
         guidance.along_plan(dt_s, rate if timeline.state is FlightState.CRUISE else 0.0)
         if timeline.state is not FlightState.CRUISE:
             return
-        if guidance.reference.finished and not self.chain.moving:
+        if guidance.reference.finished and not self.chain.moving and self.lag.near:
             self._become(FlightState.ARRIVED, "end of the plan")
         elif guidance.at_limit and not guidance.reference.finished:
             self._hold_at_limit()
@@ -301,7 +302,9 @@ class Airborne:
     # -- landing ------------------------------------------------------------------------------------------------------
 
     def _land(self, outcome: FlightState, reason: str, *, streams: bool = True, by: str = "") -> None:
-        self.landing.begin(outcome, streams=streams, reason=by)
+        good = outcome in (FlightState.COMPLETED, FlightState.LANDED)
+        spoiled = good and self.motion.spoiled
+        self.landing.begin(FlightState.CONTINGENCY if spoiled else outcome, streams=streams, reason=by)
         self._become(FlightState.LANDING, reason)
 
     def _landing(self, dt_s: float) -> None:

@@ -5,8 +5,9 @@ handovers and the director that takes the flight from open links to a disarmed v
 real time and sockets, a test virtual time and a simulator.
 
 Everything happens on one grid of ticks, ``rate_hz`` of them a second. A tick that is missed is skipped, never caught
-up: no setpoint is sent later than one tick after its time. When something in here fails, nothing is sent any more,
-heartbeats included: silence is what the autopilot's failsafe understands.
+up: no setpoint is sent later than one tick after its time. When something in here fails, the tick holds and an alarm
+says so (`link.session.containment`); three ticks in a row and nothing is sent any more, heartbeats included: silence is
+what the autopilot's failsafe understands.
 """
 
 from __future__ import annotations
@@ -22,16 +23,21 @@ from link.director.airborne import Airborne
 from link.director.launch import Launch
 from link.director.link_upkeep import LinkUpkeep
 from link.director.operation.ground_stop import stop_on_ground
+from link.director.operation.summary import summary
 from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
+from link.monitors.evidence import EvidenceWatch
+from link.monitors.motion import STREAMED
+from link.monitors.telemetry_upkeep import TelemetryUpkeep
+from link.session.containment import Containment
 from link.session.context import FlightContext
+from link.session.decoders import decoders_of, sharing_of
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
 from link.session.timeline import plain
 from link.telemetry.link_path import LinkPath
-from link.transport.url import parse_url
 from link.wire.codec import StationCodec
 
 OnFrame = Callable[[float, bytes], None]
@@ -58,8 +64,8 @@ class FlightCore:
         self.codecs = own if codecs is None else dict(codecs)
         self.context = flight = FlightContext.begin(request, self.codecs, now_s=now_s, epoch_unix_s=epoch_unix_s)
         self._timeline, self._vehicle, self._control = flight.timeline, flight.vehicle, flight.control
-        self._sharing = _sharing(request)
-        self._decoders = _decoders(self._sharing, self.codecs)
+        self._sharing = sharing_of(request)
+        self._decoders = decoders_of(self._sharing, self.codecs)
         send, encoding = flight.control.gate.send, flight.vehicle.profile.parameter_encoding
         self.parameters = ParameterClient(send, flight.vehicle.system_id, encoding)
         self.missions = MissionClient(send)
@@ -67,6 +73,9 @@ class FlightCore:
         self.airborne = Airborne(flight)
         self.links = LinkUpkeep(flight, self.airborne)
         self.announcer = Announcer(flight, self.airborne)
+        self.evidence = EvidenceWatch(flight)
+        self.upkeep = TelemetryUpkeep(flight, self.airborne.lag)
+        self.containment = Containment(flight.timeline)
         self.lateness = TickLateness()
         self.finished = False
         self._on_frame = on_frame
@@ -93,14 +102,15 @@ class FlightCore:
     def receive(self, station_id: str, data: bytes, now_s: float, url: str | None = None) -> None:
         """Take what came in over a station's link, or the one of its links named. Never raises for what is in it."""
         timeline, monitor = self._timeline, self._vehicle.monitor
-        timeline.now_s = max(timeline.now_s, now_s)
+        timeline.now_s = self._vehicle.now_s = max(timeline.now_s, now_s)
         url = url or monitor.links[station_id].paths[0].url
         for message in self._decoders[url].decode(data):
             if self._on_frame is not None:
                 self._on_frame(timeline.now_s, bytes(message.get_msgbuf()))
-            heard = [monitor.receive(timeline.now_s, station, message, url) for station in self._sharing[url]]
-            if any(heard):
-                self._pass_on(message)
+            with self.containment.of(f"taking a {message.get_type()}"):
+                heard = [monitor.receive(timeline.now_s, station, message, url) for station in self._sharing[url]]
+                if any(heard):
+                    self._pass_on(message)
 
     def _pass_on(self, message: Any) -> None:
         """An answer of the vehicle, to whoever asked."""
@@ -121,27 +131,46 @@ class FlightCore:
         tick = self._grid.due(now_s)
         if tick is None:
             return self._grid.deadline_s
-        request, timeline, control = self.context.request, self._timeline, self._control
-        timeline.now_s = max(timeline.now_s, now_s)
+        request, timeline = self.context.request, self._timeline
+        timeline.now_s = self._vehicle.now_s = max(timeline.now_s, now_s)
         self.lateness.add(tick.lateness_s / request.speedup, tick.skipped)
         if not self.finished:
-            self.links.choose()
-            self._direct((1 + tick.skipped) / request.rate_hz)
-            control.commander.step(timeline.now_s)
-            self.parameters.step(timeline.now_s)
-            self.missions.step(timeline.now_s)
-            if control.id_manager is not None and timeline.state.airborne:
-                control.id_manager.step(timeline.now_s)
-            self.links.heartbeats()
-            self.links.probes()
+            with self.containment.tick():
+                self._serve((1 + tick.skipped) / request.rate_hz)
+            if self.containment.held:
+                self._hold_tick()
         return self._grid.deadline_s
+
+    def _serve(self, dt_s: float) -> None:
+        """One tick's work."""
+        timeline, control = self._timeline, self._control
+        self.links.choose()
+        self.evidence.update()
+        self._direct(dt_s)
+        control.commander.step(timeline.now_s)
+        self.parameters.step(timeline.now_s)
+        self.missions.step(timeline.now_s)
+        if control.id_manager is not None and timeline.state.airborne:
+            control.id_manager.step(timeline.now_s)
+        self.links.heartbeats()
+        self.links.probes()
+
+    def _hold_tick(self) -> None:
+        """A tick with a fault of ours: the reference stands, heartbeats go on."""
+        with self.containment.of("holding the tick"):
+            streams = self._timeline.state in STREAMED and self._procedure is None
+            if streams and self._control.last_setpoint_s < self._timeline.now_s:
+                self.airborne.guidance.stay()
+        with self.containment.of("heartbeats"):
+            self.links.heartbeats()
 
     def tell(self) -> None:
         """What can wait until the tick's frames are out: texts, progress, the schedule. After every `step`."""
         for severity, text in self._vehicle.monitor.take_texts():
             self._timeline.emit(EventKind.TEXT, severity=severity, text=text)
         if not self.finished:
-            self.announcer.update()
+            with self.containment.of("telling"):
+                self.announcer.update()
 
     def routes(self, station_id: str, frame: bytes) -> tuple[str, ...]:
         """The URLs a frame of a station goes out over: a probe over all its links, all else over the one that sends."""
@@ -172,6 +201,9 @@ class FlightCore:
         else:
             self.airborne.tick(dt_s)
             self._ask_for_telemetry()
+        watched = self._timeline.state.airborne or self._timeline.state is FlightState.READY
+        if watched and self._streams is None and not self.airborne.chain.moving:
+            self.upkeep.step()
 
     def _advance_launch(self) -> None:
         assert self._procedure is not None
@@ -188,6 +220,13 @@ class FlightCore:
         except Refused as refusal:
             self._procedure = None
             self._refuse(str(refusal))
+        except Exception as fault:
+            # The procedure is over with it: on the ground that is the end, in the climb the vehicle lands.
+            climbing = self._timeline.state is FlightState.TAKEOFF
+            self._procedure = None if climbing else self._stop_on_ground(f"a fault of ours: {fault!r}")
+            if climbing:
+                self._land("a fault of ours", FlightState.CONTINGENCY)
+            raise
 
     def _refuse(self, reason: str) -> None:
         climbing = self._timeline.state is FlightState.TAKEOFF
@@ -210,24 +249,7 @@ class FlightCore:
 
     def summary(self) -> dict[str, Any]:
         """How the flight went, in figures."""
-        timeline, air = self._timeline, self.airborne
-        return {
-            "outcome": timeline.state.value,
-            "exit_code": timeline.state.exit_code if timeline.state.ended else None,
-            "plan_sha256": self.context.plan.plan_sha256,
-            "flown_s": None if timeline.t_plus_s is None else round(timeline.t_plus_s, 3),
-            "setpoints": self._control.setpoints_sent,
-            "handovers": air.chain.done_forward + air.chain.done_back,
-            "handovers_back": air.chain.done_back,
-            "tracking_rms_m": round(air.lag.rms_m, 3),
-            "tracking_worst_m": round(air.lag.worst_m, 3),
-            "lateness": self.lateness.to_document(),
-            "links": self._links(),
-        }
-
-    def _links(self) -> dict[str, Any]:
-        now_s = self._timeline.now_s
-        return {link.station_id: link.to_document(now_s) for link in self._vehicle.monitor.links.values()}
+        return summary(self.context, self.airborne, self.lateness)
 
     def _ask_for_telemetry(self) -> None:
         """The station in control asks for what the flight is watched by, on every link that has come to send."""
@@ -277,6 +299,8 @@ class FlightCore:
         effect = check_operator_command(command, self._timeline.state)
         if self._stopping and effect not in (Effect.STOP_ON_GROUND, Effect.NOTE):
             raise TransitionError(f"'{command}' comes too late: the flight is being ended on the ground")
+        if command is OperatorCommand.LAUNCH and (unfit := self.launch.evidence.unfit()):
+            raise TransitionError(f"launch refused: {unfit}")
         if command in (OperatorCommand.READY, OperatorCommand.ACCEPT, OperatorCommand.REFUSE) and handover is None:
             raise TransitionError(f"'{command}' needs the index of a handover")
         if command is OperatorCommand.AUTHORISE and (until_s is None or not until_s >= 0.0):
@@ -365,23 +389,3 @@ class FlightCore:
         }
         clean: dict[str, Any] = plain(document)
         return clean
-
-
-def _sharing(request: FlightRequest) -> dict[str, tuple[str, ...]]:
-    """The stations of each URL: those that share a link hear the same bytes."""
-    urls = request.urls
-    return {
-        url: tuple(other for other in request.stations if url in urls[other])
-        for station in request.stations
-        for url in urls[station]
-    }
-
-
-def _decoders(sharing: Mapping[str, tuple[str, ...]], codecs: Mapping[str, StationCodec]) -> dict[str, StationCodec]:
-    """A decoder for each URL, signed as the first of its stations is."""
-    decoders = {}
-    for url, stations in sharing.items():
-        codec = codecs[stations[0]]
-        stream = parse_url(url).is_stream
-        decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
-    return decoders

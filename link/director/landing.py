@@ -76,8 +76,8 @@ class Landing:
 
     @property
     def down(self) -> bool:
-        """Whether the vehicle has disarmed since."""
-        return self._vehicle.disarmed_since(self._since_s)
+        """Whether the vehicle has disarmed since, by two witnesses."""
+        return bool(self._vehicle.down_since(self._since_s))
 
     def ask(self) -> None:
         """Ask for the mode, now and then, while the vehicle does not show it; to disarm, when it is down and does not.

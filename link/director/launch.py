@@ -22,7 +22,9 @@ from link.microservices.command import Ticket
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
+from link.monitors.telemetry_upkeep import streams_of
 from link.preflight.check import Check, Level, worst, worst_first
+from link.preflight.evidence import PreflightEvidence
 from link.preflight.failsafe_return import judge_failsafe_return, return_rules
 from link.preflight.geofence import judge_limits
 from link.preflight.identity import Identity, judge_identity
@@ -30,6 +32,8 @@ from link.preflight.link import judge_link
 from link.preflight.route import judge_lowest, judge_stops
 from link.preflight.vehicle import (
     judge_clock,
+    judge_estimate,
+    judge_home,
     judge_origin,
     judge_parameters,
     judge_performance,
@@ -48,17 +52,6 @@ QUALITY_WAIT_S = 4.0
 PREFLIGHT_VALID_S = 60.0
 """A flight is launched on a preflight younger than this, by the wall's clock: it is a person who relies on it."""
 SIMULATOR_PARAMETER = "SIM_SPEEDUP"
-
-STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
-    (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0),
-    # Every 111 ms: no multiple of a usual interval of setpoints, so that of two senders who alternate each is seen. It
-    # goes through theirs in steps of an eighth, shifted a little each time. ArduPilot keeps whole milliseconds.
-    (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 1000.0 / 111.0),
-    (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
-    # The battery.
-    (mavlink.MAVLINK_MSG_ID_SYS_STATUS, 1.0),
-)
-"""What the station in control asks the vehicle to send, and how often, in Hz."""
 
 
 class Launch:
@@ -79,19 +72,23 @@ class Launch:
         self.ground_amsl_m = 0.0
         self.commanded = flight.request.auto_launch
         self.preflight_id = 0
-        self.stuck = False
-        """Whether the climb ended without its height."""
-        self._passed_s: float | None = None
-        """The flight's clock when the last preflight passed."""
+        self.stuck = False  # the climb ended without its height
+        self.evidence = PreflightEvidence(flight)
+        self._passed_s: float | None = None  # the flight's clock when the last preflight passed
 
     def run(self) -> Steps[None]:
         """All of it. Raises `Refused` while the vehicle is on the ground."""
         yield from self._connect()
-        yield from self._identify()
+        self._timeline.become(FlightState.IDENTIFYING)
+        yield from self._know_vehicle()
         yield from self._preflight()
-        yield from self._wait_for_command()
+        while void := (yield from self._wait_for_command()):
+            self._timeline.alarm("the preflight is void", reason=void)
+            # The last launch command was given in ignorance of it.
+            self.commanded, self._passed_s = self._request.auto_launch, None
+            yield from self._preflight(void)
         self._timeline.become(FlightState.ARMING, "launch")
-        self.stuck = yield from TakeOff(self._flight, self.restore).run(self.ground_amsl_m)
+        self.stuck = yield from TakeOff(self._flight, self.restore, self.evidence).run(self.ground_amsl_m)
 
     # -- connect ------------------------------------------------------------------------------------------------------
 
@@ -126,9 +123,10 @@ class Launch:
 
     # -- identify -----------------------------------------------------------------------------------------------------
 
-    def _identify(self) -> Steps[None]:
+    def _know_vehicle(self) -> Steps[None]:
+        """Whatever the vehicle tells when asked: streams, version, origin over every link, home."""
         vehicle, control = self._vehicle, self._control
-        self._timeline.become(FlightState.IDENTIFYING)
+        control.grant(self._flight.plan.station_ids[0], "first station")
         yield from self._break_in()
         yield from self.request_streams()
         yield from self._ask_for_message(
@@ -141,13 +139,13 @@ class Launch:
         first = self._flight.plan.station_ids[0]
         known = yield from self._ask_for_message(
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-            lambda: vehicle.monitor.links[first].origin is not None and vehicle.monitor.position is not None,
+            lambda: vehicle.monitor.links[first].origin is not None and vehicle.position is not None,
             self._request.arm_timeout_s,
         )
         if not known:
-            raise Refused(
-                f"no position and EKF origin in {self._request.arm_timeout_s:g} s: does the vehicle have satellites?"
-            )
+            why = vehicle.monitor.places.refused
+            what = f"what it tells is not believed, {why}" if why else "does the vehicle have satellites?"
+            raise Refused(f"no position and EKF origin in {self._request.arm_timeout_s:g} s: {what}")
         vehicle.origin = vehicle.monitor.links[first].origin
         for station in dict.fromkeys(self._flight.plan.station_ids):
             # Every link in turn, in control for a moment, still on the ground: what it will carry is tried now.
@@ -159,6 +157,9 @@ class Launch:
                     3.0,
                 )
         control.grant(first, "first station")
+        yield from self._ask_for_message(
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION, lambda: vehicle.monitor.home is not None, HEARD_S
+        )
 
     def _break_in(self) -> Steps[None]:
         """A vehicle that enforces other stations' ids answers nothing: say so, or open it with its own id."""
@@ -183,7 +184,7 @@ class Launch:
 
     def request_streams(self) -> Steps[None]:
         """Ask for the telemetry the flight is watched by, on the link of the station in control."""
-        for message_id, rate_hz in STREAMED_MESSAGES:
+        for message_id, rate_hz in streams_of(self._vehicle.profile):
             params = (float(message_id), 1e6 / rate_hz)
             yield from self._command("message interval", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, params)
 
@@ -198,14 +199,24 @@ class Launch:
 
     # -- preflight ----------------------------------------------------------------------------------------------------
 
-    def _preflight(self) -> Steps[None]:
+    def _preflight(self, void: str = "") -> Steps[None]:
+        """Judge everything; ``void``: why the last preflight holds no more, then the vehicle is asked anew too."""
         timeline, vehicle = self._timeline, self._vehicle
-        timeline.become(FlightState.PREFLIGHT)
+        timeline.become(FlightState.PREFLIGHT, void)
+        self.evidence.begin()
+        if void:
+            yield from self._know_vehicle()
         yield from self._read()
         checks = [*self._judge_vehicle(), *(yield from self._failsafes())]
         checks += judge_performance(vehicle.profile, self.values, self._flight.plan)
-        position = vehicle.position_enu_m()
-        assert position is not None
+        position = yield from self.evidence.known_place(self._request.arm_timeout_s)
+        if position is None:
+            yield from self.restore()
+            raise Refused(f"the vehicle's position is not known: {vehicle.monitor.places.refused or 'none is heard'}")
+        checks += [
+            judge_estimate(self.evidence.lacks_estimate),
+            judge_home(vehicle.monitor.home, vehicle.monitor.position),
+        ]
         self.ground_amsl_m = position[2] + self._flight.plan.plane.alt_amsl_m
         checks += judge_place(self._flight.plan, position, self.ground_amsl_m, self._request)
         checks.append(judge_lowest(self._flight.plan, self.ground_amsl_m))
@@ -217,7 +228,7 @@ class Launch:
         self._tell(worst_first(checks))
         if worst(checks) >= Level.FAILURE:
             yield from self.restore()
-            raise Refused("preflight: " + "; ".join(_said(check) for check in worst_first(checks) if check.blocks))
+            raise Refused("preflight: " + "; ".join(check.said for check in worst_first(checks) if check.blocks))
         vehicle.loss_timeout_s = self._loss_timeout_s()
         self._passed_s = timeline.now_s
         timeline.become(FlightState.READY, "preflight passed")
@@ -225,9 +236,8 @@ class Launch:
     @property
     def preflight_age_s(self) -> float | None:
         """How long ago the last preflight passed, by the wall's clock; None where none has."""
-        if self._passed_s is None:
-            return None
-        return (self._timeline.now_s - self._passed_s) / self._request.speedup
+        passed_s = self._passed_s
+        return None if passed_s is None else (self._timeline.now_s - passed_s) / self._request.speedup
 
     def _loss_timeout_s(self) -> float:
         """How long the autopilot goes without setpoints, by what was read of it."""
@@ -253,7 +263,7 @@ class Launch:
             *judge_identity(vehicle.profile, identity, heartbeat.vehicle_type),
             *judge_vehicle(
                 armed=heartbeat.armed,
-                landed_state=vehicle.monitor.landed_state,
+                landed_state=vehicle.landed_state,
                 battery_percent=vehicle.monitor.battery_percent,
                 simulator_speedup=self.simulator_speedup,
                 speedup=self._request.speedup,
@@ -368,22 +378,23 @@ class Launch:
 
     # -- the launch command -------------------------------------------------------------------------------------------
 
-    def _wait_for_command(self) -> Steps[None]:
+    def _wait_for_command(self) -> Steps[str]:
+        """Until the launch is commanded on a preflight that holds; why it holds no more, where it does not."""
         timeline = self._timeline
-        if not (yield from wait_until(timeline, lambda: self.commanded, self._request.launch_timeout_s)):
+        ready = yield from wait_until(
+            timeline, lambda: self.commanded or bool(self.evidence.void()), self._request.launch_timeout_s
+        )
+        if void := self.evidence.void():
+            return void
+        if not ready:
             yield from self.restore()
             raise Refused(f"no word to launch in {self._request.launch_timeout_s:g} s")
         age_s = self.preflight_age_s
         if age_s is None or age_s >= PREFLIGHT_VALID_S:
             yield from self._preflight()
+        return self.evidence.void()
 
     def _command(self, name: str, command: int, params: tuple[Any, ...]) -> Steps[Ticket]:
         ticket = yield from answered(self._control.start_command(name, command, tuple(float(p) for p in params)))
         self._timeline.emit(EventKind.COMMAND, name=name, result=ticket.outcome, attempts=ticket.sent)
         return ticket
-
-
-def _said(check: Check) -> str:
-    required = f" (required: {check.required})" if check.required else ""
-    remedy = f"; {check.remedy}" if check.remedy else ""
-    return f"{check.name}: {check.message}{required}{remedy}"

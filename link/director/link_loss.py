@@ -29,7 +29,6 @@ from link.setpoints.straight_line import StraightLine
 REASK_S = 1.5
 BETTER_LINK_S = 1.0
 PROVEN_S = 1.0
-FRESH_POSITION_S = 2.0
 SEARCH_S = 120.0
 """How far along the plan, both ways, the nearest point of the path is looked for."""
 NEARER_M = 1.0
@@ -75,7 +74,7 @@ class LostC2Link:
     def tick(self) -> float | None:
         """One tick; the time of the plan to join, once back in."""
         timeline, vehicle = self._timeline, self._vehicle
-        if vehicle.disarmed_since(self._since_s):
+        if vehicle.down_since(self._since_s):
             ended = FlightState.CONTINGENCY if vehicle.on_ground else FlightState.LOST
             self.ended = (ended, "the vehicle disarmed by itself")
             return None
@@ -122,9 +121,10 @@ class LostC2Link:
     def no_way_back(self) -> str:
         """Why a resume would fail now; empty where it may succeed."""
         here = self._vehicle.position_enu_m()
-        position, now_s = self._vehicle.monitor.position, self._timeline.now_s
-        if here is None or position is None or now_s - position.heard_s > FRESH_POSITION_S:
+        if here is None:
             return "no fresh position"
+        if self._vehicle.doubt:
+            return self._vehicle.doubt
         try:
             self._where(np.array(here))
         except _NoWayBack as reason:

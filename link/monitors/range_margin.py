@@ -30,9 +30,10 @@ class RangeWatch:
     def update(self) -> None:
         """Measure the newest position; once a tick."""
         vehicle = self._vehicle
-        position, station = vehicle.monitor.position, self._control.gate.holder
+        position, station = vehicle.position, self._control.gate.holder
         here = vehicle.position_enu_m()
         if position is None or station is None or here is None:
+            self.margin_m = None
             return
         if self._seen == (position.boot_s, station):
             return

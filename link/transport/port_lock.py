@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import stat
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -26,7 +27,7 @@ class LinkLocks:
 
     def __init__(self, urls: Iterable[str]) -> None:
         folder = lock_folder()
-        folder.mkdir(mode=0o700, exist_ok=True)
+        _make_own(folder)
         self._descriptors: list[int] = []
         for url in dict.fromkeys(urls):
             path = folder / hashlib.sha256(url.encode()).hexdigest()[:32]
@@ -44,3 +45,19 @@ class LinkLocks:
         for descriptor in self._descriptors:
             os.close(descriptor)
         self._descriptors.clear()
+
+
+def _make_own(folder: Path) -> None:
+    """Make the folder; one that is there must be this user's. Raises `EndpointError`.
+
+    Its place can be written to by everybody: whoever made it first could take locks away or lead them elsewhere.
+    """
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        raise EndpointError(
+            f"{folder}: links are locked here, and it is not a folder of this user's own; remove it, or set TMPDIR to "
+            "a folder of your own, the same for every program that flies"
+        )
+    if found.st_mode & 0o077:
+        folder.chmod(0o700)

@@ -113,7 +113,7 @@ ROWS: tuple[Row, ...] = (
     both(
         "heartbeat-stuck",
         LOST,
-        "it shows no landing: it must not be called landed; given up two minutes after it is on the ground",
+        "it shows no landing: it must not be called landed; given up two minutes after touchdown",
     ),
     both("heartbeat-late", COMPLETED, "a mode seen 3 s late is waited for"),
     both("heartbeat-critical", COMPLETED, "the autopilot's own judgement moves its own failsafe, not us"),

@@ -38,7 +38,7 @@ BANNED = {
 
 LEVELS = {
     "planner": (
-        ("errors", "arrays", "remedy", "bezier", "problem", "trajectory", "speed_profile"),
+        ("errors", "arrays", "remedy", "bezier", "problem", "airspeed", "trajectory", "speed_profile"),
         ("coverage",),
         ("certificate", "energy", "solution", "infeasibility"),
         ("routing", "corridor"),
@@ -107,14 +107,16 @@ SURFACE = {
     "planner.joint": "Effort plan_joint",
     "planner.paper": "Iteration plan_paper shortest_sequence",
     "planner.routing": "candidate_routes lower_bound",
-    "gcs.exports": "FORMATS export_handovers parse_launch summary write_atomic",
+    "gcs.exports": "FORMATS export_handovers parse_launch summary umask write_atomic",
     "gcs.geodesy": "WGS84_A_M WGS84_E2 Plane",
     "gcs.jobs": "PlanningPool",
     "gcs.layout": "lay_out",
-    "gcs.mission": "Mission MissionOptions parse_mission_json parse_option read_mission with_options write_mission",
+    "gcs.mission": (
+        "Mission MissionOptions parse_mission_json parse_option read_mission station_faults with_options write_mission"
+    ),
     "gcs.plan": "FailsafeReturn Place Plan ReturnRules failsafe_returns read_plan",
     "gcs.planning": "ReplanOrder default_planner plan_mission product_version recertify replan with_costs",
-    "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store",
+    "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store back_up restore",
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
     "link.director": "PREFLIGHT_VALID_S judge_next",
@@ -136,7 +138,7 @@ SURFACE = {
     ),
     "api.cli": "main",
     "api.processes": "QUICK_MISSION Child ChildError Children home_under python_module start_simulator",
-    "api.rest": "create_app",
+    "api.rest": "BACKLOG Limits connection_class create_app possible_connections",
     "api.rest.schemas": (
         "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE CommandBody "
         "FlightDetail FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "

@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
 from api.rest import schemas
+from api.rest.bodies import StrictRoute
 from api.rest.dependencies import Wired, services_of
 from api.rest.problems import ApiError
 from api.rest.routes import shared
@@ -20,7 +21,7 @@ from api.service import FlightStatus, Services, outer_state
 from gcs.flight import OperatorCommand
 from gcs.store import FlightRecord
 
-router = APIRouter(prefix="/v1/flights", tags=["flights"])
+router = APIRouter(prefix="/v1/flights", tags=["flights"], route_class=StrictRoute)
 
 FlightId = Annotated[str, Path(max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
 HandoverIndex = Annotated[int, Path(ge=1, le=100_000, description="As in the plan, from 1.")]
@@ -44,7 +45,8 @@ def shown(services: Services, record: FlightRecord, *, whole: bool) -> dict[str,
         "phase": state.value,
         "created_utc": record.created_utc,
         "changed_utc": record.changed_utc,
-        "ended_utc": record.ended_utc,
+        # The record may be one event ahead of what is known here: one answer tells one moment.
+        "ended_utc": record.ended_utc if state.ended else None,
     }
     if whole:
         body |= {
@@ -92,7 +94,9 @@ def list_flights(
     services: Wired,
     limit: Limit = 50,
     cursor: Cursor = None,
-    mission_id: Annotated[str | None, Query(max_length=64, description="Only those of this mission.")] = None,
+    mission_id: Annotated[
+        str | None, Query(max_length=64, pattern=shared.PLAIN_ID, description="Only those of this mission.")
+    ] = None,
     active: Annotated[bool, Query(description="Only those that have not ended.")] = False,
 ) -> schemas.FlightPage:
     """Newest first, a page at a time."""

@@ -210,6 +210,13 @@ def test_options_that_cannot_be_end_with_two_and_say_why(
     assert captured.out == ""
 
 
+@pytest.mark.parametrize("option", [["--home", "-35.3,149.1,584"], ["--home", "-.5,-70,3"], ["--wind", "-3,2"]])
+def test_numbers_may_begin_with_a_minus(option: list[str]) -> None:
+    """Every home south of the equator does."""
+    (port,) = free_ports(1)
+    assert main([*option, "--listen", f"udpin:127.0.0.1:{port}", "--duration", "0"]) == 0
+
+
 def test_a_taken_port_is_said_to_be_taken(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
         holder.bind(("127.0.0.1", 0))
