@@ -15,12 +15,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError, check_operator_command
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError
+from gcs.operator_commands import Effect, check_operator_command
 from link.clock import TickGrid, TickLateness
 from link.dialect import mavlink
 from link.director.airborne import Airborne
 from link.director.launch import Launch
 from link.director.link_upkeep import LinkUpkeep
+from link.director.operation.ground_stop import stop_on_ground
+from link.director.operation.summary import summary
 from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
 from link.microservices.mission_client import MissionClient
@@ -78,6 +81,8 @@ class FlightCore:
         self.finished, self._on_frame = False, on_frame
         self._grid = TickGrid(request.rate_hz, now_s)
         self._procedure: Steps[None] | None = self.launch.run()
+        self._stopping = False
+        """Whether the flight is being ended on the ground."""
         self._restoring: Steps[None] | None = None
         self._streams: Steps[None] | None = None
         self._streamed: tuple[int, LinkPath] | None = None
@@ -212,7 +217,12 @@ class FlightCore:
             next(self._procedure)
         except StopIteration:
             self._procedure = None
-            self.airborne.begin()
+            if self._timeline.state.ended:
+                return
+            if self.launch.stuck:
+                self._land("take-off stuck", FlightState.CONTINGENCY)
+            else:
+                self.airborne.begin()
         except Refused as refusal:
             self._procedure = None
             self._refuse(str(refusal))
@@ -221,7 +231,7 @@ class FlightCore:
             climbing = self._timeline.state is FlightState.TAKEOFF
             self._procedure = None if climbing else self._stop_on_ground(f"a fault of ours: {fault!r}")
             if climbing:
-                self._land()
+                self._land("a fault of ours", FlightState.CONTINGENCY)
             raise
 
     def _refuse(self, reason: str) -> None:
@@ -245,19 +255,7 @@ class FlightCore:
 
     def summary(self) -> dict[str, Any]:
         """How the flight went, in figures."""
-        timeline, air = self._timeline, self.airborne
-        return {
-            "outcome": timeline.state.value,
-            "exit_code": timeline.state.exit_code if timeline.state.ended else None,
-            "plan_sha256": self.context.plan.plan_sha256,
-            "flown_s": None if timeline.t_plus_s is None else round(timeline.t_plus_s, 3),
-            "setpoints": self._control.setpoints_sent,
-            "handovers": air.chain.leg,
-            "tracking_rms_m": round(air.lag.rms_m, 3),
-            "tracking_worst_m": round(air.lag.worst_m, 3),
-            "lateness": self.lateness.to_document(),
-            "links": {s: link.to_document(timeline.now_s) for s, link in self._vehicle.monitor.links.items()},
-        }
+        return summary(self.context, self.airborne, self.lateness)
 
     def _ask_for_telemetry(self) -> None:
         """The station in control asks for what the flight is watched by, on every link that has come to send."""
@@ -301,7 +299,9 @@ class FlightCore:
             ) from None
         if plan_sha256 is not None and plan_sha256 != self.context.plan.plan_sha256:
             raise TransitionError(f"'{command}' is for another plan ({plan_sha256[:12]}...) than the one being flown")
-        check_operator_command(command, self._timeline.state)
+        effect = check_operator_command(command, self._timeline.state)
+        if self._stopping and effect not in (Effect.STOP_ON_GROUND, Effect.NOTE):
+            raise TransitionError(f"'{command}' comes too late: the flight is being ended on the ground")
         if command is OperatorCommand.LAUNCH and (unfit := self.launch.evidence.unfit()):
             raise TransitionError(f"launch refused: {unfit}")
         if command in (OperatorCommand.READY, OperatorCommand.ACCEPT, OperatorCommand.REFUSE) and handover is None:
@@ -313,7 +313,7 @@ class FlightCore:
                 raise TransitionError("'replan' needs a plan made ready for this flight")
             self.airborne.adopt(upcoming, join_s, leave_s)
         else:
-            self._obey(command, handover or 0, until_s or 0.0, reason or by or "word")
+            self._obey(command, effect, handover or 0, until_s or 0.0, reason or by or "word")
         self._timeline.emit(
             EventKind.OPERATOR_COMMAND, word=command.value, by=by, handover=handover, until_s=until_s, reason=reason
         )
@@ -325,18 +325,26 @@ class FlightCore:
         """
         return make_ready(document, self.context, self.launch.values)
 
-    def _obey(self, command: OperatorCommand, handover: int, until_s: float, reason: str) -> None:
+    def _obey(self, command: OperatorCommand, effect: Effect, handover: int, until_s: float, reason: str) -> None:
         air = self.airborne
-        if command is OperatorCommand.LAUNCH:
+        if effect is Effect.LAUNCH:
             self.launch.commanded = True
-        elif command is OperatorCommand.HOLD:
+        elif effect is Effect.STOP_ON_GROUND:
+            if not self._stopping:
+                # On the ground: motors off, parameters back, done.
+                self._stopping = True
+                self._procedure = self._stop_on_ground(f"aborted: {reason}")
+        elif effect in (Effect.HOLD, Effect.KEEP_HOLDING):
             air.hold()
-        elif command is OperatorCommand.RESUME:
+        elif effect in (Effect.GO_ON, Effect.RE_ENTER):
             air.resume()
-        elif command is OperatorCommand.ABORT:
-            self._abort(reason)
         elif command is OperatorCommand.LAND:
-            self._land()
+            self._land(reason)
+        elif command is OperatorCommand.ABORT:
+            if effect is Effect.STOP_CLIMB:
+                self._land(f"abort: {reason}", FlightState.CONTINGENCY)
+            else:
+                air.contingency(f"abort: {reason}")
         elif command is OperatorCommand.AUTHORISE:
             air.authorise(until_s)
         elif command is OperatorCommand.REFUSE:
@@ -344,28 +352,15 @@ class FlightCore:
         else:
             air.chain.accept(handover)
 
-    def _abort(self, reason: str) -> None:
-        if self._procedure is None:
-            self.airborne.contingency(f"abort: {reason}")
-        elif self._timeline.state is FlightState.TAKEOFF:
-            self._land()
-        else:
-            # On the ground: motors off, parameters back, done.
-            self._procedure = self._stop_on_ground(f"aborted: {reason}")
-
-    def _land(self) -> None:
+    def _land(self, reason: str, outcome: FlightState | None = None) -> None:
+        """Land at once, wherever the vehicle is; out of the climb too, whose commands are taken back."""
         if self._procedure is not None:
             self._procedure = None
-            self.airborne.uplink.restart()
-        self.airborne.land()
+            self._control.commander.cancel_all()
+        self.airborne.land(reason, outcome)
 
     def _stop_on_ground(self, reason: str) -> Steps[None]:
-        if self._control.gate.in_force is not None and self._vehicle.armed:
-            ticket = self._control.start_command("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
-            while not ticket.finished:
-                yield
-        yield from self.launch.restore()
-        raise Refused(reason)
+        yield from stop_on_ground(self.context, self.launch.restore, reason)
 
     # -- for people ---------------------------------------------------------------------------------------------------
 

@@ -76,9 +76,9 @@ class Launch:
         self.ground_amsl_m = 0.0
         self.commanded = flight.request.auto_launch
         self.preflight_id = 0
+        self.stuck = False  # the climb ended without its height
         self.evidence = PreflightEvidence(flight)
-        self._passed_s: float | None = None
-        """The flight's clock when the last preflight passed."""
+        self._passed_s: float | None = None  # the flight's clock when the last preflight passed
 
     def run(self) -> Steps[None]:
         """All of it. Raises `Refused` while the vehicle is on the ground."""
@@ -92,7 +92,7 @@ class Launch:
             self.commanded, self._passed_s = self._request.auto_launch, None
             yield from self._preflight(void)
         self._timeline.become(FlightState.ARMING, "launch")
-        yield from TakeOff(self._flight, self.restore, self.evidence).run(self.ground_amsl_m)
+        self.stuck = yield from TakeOff(self._flight, self.restore, self.evidence).run(self.ground_amsl_m)
 
     # -- connect ------------------------------------------------------------------------------------------------------
 

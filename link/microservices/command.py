@@ -110,6 +110,11 @@ class Commander:
         if not ticket.finished:
             self._finish(ticket, None, "cancelled")
 
+    def cancel_all(self) -> None:
+        """Stop asking for anything: what was asked before must not come about after."""
+        for ticket in list(self._tickets.values()):
+            self.cancel(ticket)
+
     def on_ack(self, now_s: float, ack: Any) -> Ticket | None:
         """Take a COMMAND_ACK of the vehicle; the ticket it belongs to, None when it answers nothing we wait for.
 

@@ -47,7 +47,7 @@ LEVELS = {
     ),
     "gcs": (
         ("errors", "timestamps", "flight", "settings", "geodesy"),
-        ("document_reader", "store"),
+        ("document_reader", "operator_commands", "store"),
         ("mission",),
         ("layout",),
         ("plan", "remedies"),
@@ -87,6 +87,7 @@ PUBLIC_MODULES = (
     "gcs.document_reader",
     "gcs.errors",
     "gcs.flight",
+    "gcs.operator_commands",
     "gcs.settings",
     "gcs.timestamps",
     "link.clock",

@@ -88,8 +88,9 @@ class FlyOptions:
 def run_fly(given: FlyOptions) -> int:
     """Fly a plan: preflight, arm, take off, follow the plan, hand over from station to station, land.
 
-    Ctrl-C in the air asks for the contingency procedure in force; a second one lets go of the vehicle, whose own
-    failsafe then acts. Ends with 4 when the flight did not end as planned.
+    Ctrl-C commands `abort`: on the ground motors off and everything given back, in the air the contingency procedure in
+    force; a second one lets go of the vehicle, whose own failsafe then acts. Ends with 0 when the flight was flown as
+    planned, or landed where an operator commanded it to; else with 4.
     """
     plan = inputs.plan(given.plan_file)
     request = request_of(
@@ -223,8 +224,11 @@ def held(flight: RunningFlight, progress: Progress) -> Iterator[None]:
 
 
 def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
-    """Until the flight ends. The first Ctrl-C (or SIGTERM) in the air commands `abort`; any other ends this."""
-    from gcs.flight import TransitionError
+    """Until the flight ends. The first Ctrl-C (or SIGTERM) commands `abort`; any other ends this.
+
+    While nothing has been asked of the vehicle yet, the first one ends it too.
+    """
+    from gcs.flight import FlightState, TransitionError
 
     asked = False
     while True:
@@ -236,10 +240,11 @@ def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
         except (KeyboardInterrupt, Terminated) as error:
             event = flight.last_event
             dropped = isinstance(error, Terminated) and error.signal_number == signal.SIGHUP
-            if asked or dropped or event is None or not event.state.airborne:
+            if asked or dropped or event is None or event.state is FlightState.CONNECTING:
                 raise
             asked = True
-            progress.note("flying the contingency procedure; Ctrl-C again lets go of the vehicle")
+            doing = "flying the contingency procedure" if event.state.airborne else "ending the flight on the ground"
+            progress.note(f"{doing}; Ctrl-C again lets go of the vehicle")
             try:
                 flight.command("abort", by="Ctrl-C")
             except TransitionError as refusal:

@@ -267,9 +267,9 @@ def test_abort_goes_back_along_the_path_handing_over_backwards_and_lands_at_the_
 def test_land_lands_here(autopilot: str) -> None:
     one = in_cruise(autopilot, 12.0)
     one.core.command("land")
-    assert one.run(limit_s=200.0) is FlightState.CONTINGENCY
+    assert one.run(limit_s=200.0) is FlightState.LANDED
     assert one.vehicle.body.on_ground
-    assert one.states[-2:] == ["landing", "contingency"]
+    assert one.states[-2:] == ["landing", "landed"]
 
 
 @pytest.mark.slow
