@@ -6,8 +6,8 @@ import pytest
 
 from gcs.flight import FlightState
 from link.monitors.evidence import SILENT
-from tests.link.evidence.test_validated import BOTH, in_the_air, ready
 from tests.support.flights.tampered import TamperedFlight, altered
+from tests.support.flights.witnessed import BOTH, in_the_air, ready
 
 DOUBT = "the vehicle's position estimate is in doubt"
 
