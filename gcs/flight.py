@@ -224,6 +224,8 @@ class EventKind(StrEnum):
 
     STATE = "state"
     """The flight's state changed: ``data`` has from, to, reason."""
+    IDENTITY = "identity"
+    """Which vehicle this is, by its own word, and that this flight alone has it: identity, unique_id, system_id."""
     CHECK = "check"
     """One finding of the preflight: name, level, message, value, required, fix."""
     COMMAND = "command"

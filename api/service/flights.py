@@ -67,10 +67,11 @@ class _Watched:
 class FlightService:
     """All flights of a service."""
 
-    def __init__(self, settings: Settings, store: Store, changes: Changes) -> None:
+    def __init__(self, settings: Settings, store: Store, changes: Changes, owner: str | None = None) -> None:
         self._settings = settings
         self._store = store
         self._changes = changes
+        self._owner = owner
         self._watched: dict[str, _Watched] = {}
 
     # -- starting -----------------------------------------------------------------------------------------------------
@@ -92,6 +93,7 @@ class FlightService:
             version=version,
             plan_sha256=plan.plan_sha256,
             vehicle_id=vehicle_id,
+            owner=self._owner,
             document={"autopilot": vehicle["autopilot"], "links": links, "options": dict(options)},
         )
         folder = self._folder(record.id)
@@ -141,18 +143,42 @@ class FlightService:
             with watched.lock:
                 watched.status.apply(event)
             self._changes.tell(flight_id)
+            if event.kind is EventKind.IDENTITY:
+                # Not here: the store may be slow, and the streamer's answers come on this thread.
+                identity = str(event.data["identity"])
+                threading.Thread(target=self._claim, args=(flight_id, watched, identity), daemon=True).start()
 
         return on_event
+
+    def _claim(self, flight_id: str, watched: _Watched, identity: str) -> None:
+        """Note which vehicle it is; end a flight of a vehicle that is on another. At launch it is asked for again."""
+        try:
+            self._store.flights.claim(flight_id, identity)
+        except ConflictError as error:
+            log.error("two flights of one vehicle", flight=flight_id, error=str(error))
+            with contextlib.suppress(TransitionError, SupervisorError):
+                if watched.flight is not None:
+                    watched.flight.command(OperatorCommand.ABORT, by="service", reason=str(error))
+        except (StoreError, NotFoundError) as error:
+            log.warning("the vehicle of a flight is not noted yet", flight=flight_id, error=str(error))
 
     # -- finding again ------------------------------------------------------------------------------------------------
 
     def reattach(self) -> None:
         """Connect to the streamers of flights that had not ended when the service last did."""
         for record in self._store.flights.page(limit=1000, active=True):
+            if not self._ours(record):
+                continue
             try:
                 self._reattach(record)
             except StoreError as error:
                 log.warning("flight not found again", flight=record.id, error=str(error))
+
+    def _ours(self, record: FlightRecord) -> bool:
+        """Whether a flight is this service's to find again, and to end where its streamer is gone."""
+        if record.owner is not None:
+            return record.owner == self._owner
+        return self._settings.database_url is None or Path(record.document.get("run_dir") or "/nonexistent").is_dir()
 
     def _reattach(self, record: FlightRecord) -> None:
         folder = Path(record.document.get("run_dir") or "/nonexistent")
@@ -231,6 +257,9 @@ class FlightService:
                 f"the preflight is {age_s:.0f} s old, allowed is under {PREFLIGHT_VALID_S:.0f} s; "
                 "abort this flight and make another"
             )
+        identity = status.get("vehicle_identity")
+        if identity is not None:
+            self._store.flights.claim(flight_id, str(identity))
         flight.command(OperatorCommand.LAUNCH, by=by, plan_sha256=plan_sha256)
 
     def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:

@@ -30,6 +30,7 @@ from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
 from link.monitors.evidence import EvidenceWatch
 from link.monitors.motion import STREAMED
+from link.monitors.one_vehicle import Claim, OneVehicle
 from link.monitors.telemetry_upkeep import TelemetryUpkeep
 from link.session.containment import Containment
 from link.session.context import FlightContext
@@ -48,7 +49,7 @@ class FlightCore:
 
     ``codecs`` gives each station its codec (default: unsigned, the plan's system ids). ``now_s`` is the flight's clock
     at the start, ``epoch_unix_s`` what it is in UTC at 0. ``on_frame(now_s, frame)`` is told every frame sent and every
-    message heard, in order. A core is used by one thread.
+    message heard, in order. ``claim`` holds the vehicle against other programs. A core is used by one thread.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class FlightCore:
         now_s: float = 0.0,
         epoch_unix_s: float = 0.0,
         on_frame: OnFrame | None = None,
+        claim: Claim | None = None,
     ) -> None:
         own = {station: StationCodec(system_id) for station, system_id in request.system_ids.items()}
         self.codecs = own if codecs is None else dict(codecs)
@@ -69,16 +71,14 @@ class FlightCore:
         send, encoding = flight.control.gate.send, flight.vehicle.profile.parameter_encoding
         self.parameters = ParameterClient(send, flight.vehicle.system_id, encoding)
         self.missions = MissionClient(send)
-        self.launch = Launch(flight, self.parameters, self.missions)
+        self.one_vehicle = OneVehicle(flight, self.parameters, claim)
+        self.launch = Launch(flight, self.parameters, self.missions, self.one_vehicle)
         self.airborne = Airborne(flight)
-        self.links = LinkUpkeep(flight, self.airborne)
-        self.announcer = Announcer(flight, self.airborne)
-        self.evidence = EvidenceWatch(flight)
-        self.upkeep = TelemetryUpkeep(flight, self.airborne.lag)
+        self.links, self.announcer = LinkUpkeep(flight, self.airborne), Announcer(flight, self.airborne)
+        self.evidence, self.upkeep = EvidenceWatch(flight), TelemetryUpkeep(flight, self.airborne.lag)
         self.containment = Containment(flight.timeline)
         self.lateness = TickLateness()
-        self.finished = False
-        self._on_frame = on_frame
+        self.finished, self._on_frame = False, on_frame
         self._grid = TickGrid(request.rate_hz, now_s)
         self._procedure: Steps[None] | None = self.launch.run()
         self._stopping = False
@@ -104,18 +104,22 @@ class FlightCore:
         timeline, monitor = self._timeline, self._vehicle.monitor
         timeline.now_s = self._vehicle.now_s = max(timeline.now_s, now_s)
         url = url or monitor.links[station_id].paths[0].url
-        for message in self._decoders[url].decode(data):
+        decoder = self._decoders[url]
+        for message in decoder.decode(data):
             if self._on_frame is not None:
                 self._on_frame(timeline.now_s, bytes(message.get_msgbuf()))
             with self.containment.of(f"taking a {message.get_type()}"):
+                self.one_vehicle.heard(message.get_srcSystem(), message.get_srcComponent(), message.get_msgbuf())
                 heard = [monitor.receive(timeline.now_s, station, message, url) for station in self._sharing[url]]
                 if any(heard):
                     self._pass_on(message)
+        self.one_vehicle.reflected(decoder)
 
     def _pass_on(self, message: Any) -> None:
         """An answer of the vehicle, to whoever asked."""
         kind, now_s, manager = message.get_type(), self._timeline.now_s, self._control.id_manager
         if kind == "COMMAND_ACK":
+            self.one_vehicle.on_ack(message)
             self._control.commander.on_ack(now_s, message)
         elif kind == "PARAM_VALUE":
             parameter = self.parameters.on_value(message)
@@ -170,6 +174,7 @@ class FlightCore:
             self._timeline.emit(EventKind.TEXT, severity=severity, text=text)
         if not self.finished:
             with self.containment.of("telling"):
+                self.one_vehicle.update()
                 self.announcer.update()
 
     def routes(self, station_id: str, frame: bytes) -> tuple[str, ...]:
@@ -182,8 +187,9 @@ class FlightCore:
     def take_outgoing(self) -> list[tuple[str, bytes]]:
         """Frames to send now, in order, each with its station."""
         outgoing = [(sender.station_id, frame) for sender, frame in self._control.gate.take_outgoing()]
-        if self._on_frame is not None:
-            for _, frame in outgoing:
+        for _, frame in outgoing:
+            self.one_vehicle.sent(frame)
+            if self._on_frame is not None:
                 self._on_frame(self._timeline.now_s, frame)
         return outgoing
 
@@ -259,11 +265,8 @@ class FlightCore:
             if self._streamed is not None:
                 self._streams = self.launch.request_streams()
             self._streamed = (chain.leg, sends)
-        if self._streams is not None and not chain.moving:
-            try:
-                next(self._streams)
-            except StopIteration:
-                self._streams = None
+        if self._streams is not None and not chain.moving and next(self._streams, self) is self:
+            self._streams = None
 
     # -- operator commands --------------------------------------------------------------------------------------------
 
@@ -380,6 +383,7 @@ class FlightCore:
             "utc": timeline.utc.text(timeline.now_s),
             "t_plus_s": None if timeline.t_plus_s is None else round(timeline.t_plus_s, 3),
             "plan_sha256": self.context.plan.plan_sha256,
+            "vehicle_identity": self.one_vehicle.identity,
             "preflight_id": self.launch.preflight_id,
             "preflight_age_s": None if age_s is None else round(age_s, 1),
             "fence": None if grant is None else grant.number,

@@ -22,6 +22,7 @@ from link.microservices.command import Ticket
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
+from link.monitors.one_vehicle import OneVehicle
 from link.monitors.telemetry_upkeep import streams_of
 from link.preflight.check import Check, Level, worst, worst_first
 from link.preflight.evidence import PreflightEvidence
@@ -57,13 +58,16 @@ SIMULATOR_PARAMETER = "SIM_SPEEDUP"
 class Launch:
     """The procedure on the ground and the climb. ``commanded``: whether the operator has said to go."""
 
-    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
+    def __init__(
+        self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient, one_vehicle: OneVehicle
+    ) -> None:
         self._flight = flight
         self._request = flight.request
         self._timeline = flight.timeline
         self._vehicle = flight.vehicle
         self._control = flight.control
         self.parameters = parameters
+        self._one = one_vehicle
         self.borrowed = BorrowedSettings(flight, parameters, missions)
         self.values: dict[str, Parameter | None] = {}
         self.asking = Asking()
@@ -93,23 +97,19 @@ class Launch:
     # -- connect ------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> Steps[None]:
-        timeline, vehicle = self._timeline, self._vehicle
+        timeline, vehicle, monitor = self._timeline, self._vehicle, self._vehicle.monitor
         first = self._flight.plan.station_ids[0]
         self._control.grant(first, "first station")
         heard = yield from wait_until(
             timeline,
-            lambda: (
-                vehicle.monitor.heartbeat is not None and vehicle.monitor.heard_within(timeline.now_s, first, HEARD_S)
-            ),
+            lambda: monitor.heartbeat is not None and monitor.heard_within(timeline.now_s, first, HEARD_S),
             self._request.connect_timeout_s,
         )
         if not heard:
             over = f"over the link of {first} ({self._request.shown(first)}) in {self._request.connect_timeout_s:g} s"
-            raise Refused(
-                f"no heartbeat of system {vehicle.system_id}, component 1 {over}: "
-                "is the vehicle there, its id and the link right?"
-            )
-        heartbeat = vehicle.monitor.heartbeat
+            hint = "is the vehicle there, its id and the link right?"
+            raise Refused(f"no heartbeat of system {vehicle.system_id}, component 1 {over}: {hint}")
+        heartbeat = monitor.heartbeat
         assert heartbeat is not None
         if heartbeat.autopilot != vehicle.profile.autopilot_id:
             raise Refused(
@@ -126,17 +126,17 @@ class Launch:
     def _know_vehicle(self) -> Steps[None]:
         """Whatever the vehicle tells when asked: streams, version, origin over every link, home."""
         vehicle, control = self._vehicle, self._control
-        control.grant(self._flight.plan.station_ids[0], "first station")
-        yield from self._break_in()
-        yield from self.request_streams()
-        yield from self._ask_for_message(
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, lambda: vehicle.monitor.version is not None, 5.0
-        )
-        if vehicle.monitor.version is not None:
-            capabilities = int(vehicle.monitor.version.capabilities)
-            self.parameters.encoding = encoding_of(capabilities, vehicle.profile.parameter_encoding)
-        # The EKF lays its origin once it has a position: on a cold vehicle that takes most of a minute.
         first = self._flight.plan.station_ids[0]
+        control.grant(first, "first station")
+        yield from self._break_in()
+        yield from self._one.identify(first)
+        # Before anything is changed on it: on another flight it must not notice this one.
+        self._one.claim()
+        yield from self.request_streams()
+        if vehicle.monitor.version is not None:
+            told = int(vehicle.monitor.version.capabilities)
+            self.parameters.encoding = encoding_of(told, vehicle.profile.parameter_encoding)
+        # The EKF lays its origin once it has a position: on a cold vehicle that takes most of a minute.
         known = yield from self._ask_for_message(
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
             lambda: vehicle.monitor.links[first].origin is not None and vehicle.position is not None,
@@ -147,7 +147,7 @@ class Launch:
             what = f"what it tells is not believed, {why}" if why else "does the vehicle have satellites?"
             raise Refused(f"no position and EKF origin in {self._request.arm_timeout_s:g} s: {what}")
         vehicle.origin = vehicle.monitor.links[first].origin
-        for station in dict.fromkeys(self._flight.plan.station_ids):
+        for station in self._request.stations:
             # Every link in turn, in control for a moment, still on the ground: what it will carry is tried now.
             if station != first and self._link_works(station):
                 control.grant(station, "link check on the ground")
@@ -156,6 +156,7 @@ class Launch:
                     lambda s=station: vehicle.monitor.links[s].origin is not None,  # type: ignore[misc]
                     3.0,
                 )
+                yield from self._one.identify(station)
         control.grant(first, "first station")
         yield from self._ask_for_message(
             mavlink.MAVLINK_MSG_ID_HOME_POSITION, lambda: vehicle.monitor.home is not None, HEARD_S
@@ -231,6 +232,7 @@ class Launch:
             raise Refused("preflight: " + "; ".join(check.said for check in worst_first(checks) if check.blocks))
         vehicle.loss_timeout_s = self._loss_timeout_s()
         self._passed_s = timeline.now_s
+        self._one.passed()
         timeline.become(FlightState.READY, "preflight passed")
 
     @property
@@ -261,6 +263,7 @@ class Launch:
         told = None if unix is None else (unix[0], self._timeline.utc.unix_s(unix[1]))
         return [
             *judge_identity(vehicle.profile, identity, heartbeat.vehicle_type),
+            *self._one.judge(),
             *judge_vehicle(
                 armed=heartbeat.armed,
                 landed_state=vehicle.landed_state,
@@ -291,7 +294,9 @@ class Launch:
             asked.update({one.name: one for one in again})
             yield from wait_until(self._timeline, lambda a=again: all(one.finished for one in a), 60.0)  # type: ignore[misc]
             denied = frozenset(one.name for one in asked.values() if one.denied)
-            self.asking = Asking(attempts, self._loss(), denied)
+            # Share of questions that go unanswered lately on the link of the station in control, by its probes.
+            link = self._vehicle.monitor.links[self._control.in_force.station_id].active
+            self.asking = Asking(attempts, link.round_loss(self._timeline.now_s), denied)
             if not self.asking.unsure:
                 break
         answers = {one.name: one.answer for one in asked.values()}
@@ -301,11 +306,6 @@ class Launch:
         }
         simulator = answers[SIMULATOR_PARAMETER]
         self.simulator_speedup = None if simulator is None else float(simulator.value)
-
-    def _loss(self) -> float | None:
-        """Share of questions that go unanswered lately on the link of the station in control, by its probes."""
-        station = self._control.in_force.station_id
-        return self._vehicle.monitor.links[station].active.round_loss(self._timeline.now_s)
 
     def _failsafes(self) -> Steps[list[Check]]:
         """Judge the parameters; set what is unsafe where that is allowed, and judge again what is read back."""
@@ -380,18 +380,18 @@ class Launch:
 
     def _wait_for_command(self) -> Steps[str]:
         """Until the launch is commanded on a preflight that holds; why it holds no more, where it does not."""
-        timeline = self._timeline
+        timeline, limit_s = self._timeline, self._request.launch_timeout_s
         ready = yield from wait_until(
-            timeline, lambda: self.commanded or bool(self.evidence.void()), self._request.launch_timeout_s
+            timeline, lambda: self.commanded or bool(self.evidence.void() or self._one.hindrance()), limit_s
         )
         if void := self.evidence.void():
             return void
         if not ready:
             yield from self.restore()
-            raise Refused(f"no word to launch in {self._request.launch_timeout_s:g} s")
-        age_s = self.preflight_age_s
-        if age_s is None or age_s >= PREFLIGHT_VALID_S:
+            raise Refused(f"no word to launch in {limit_s:g} s")
+        if self.commanded and (self.preflight_age_s or 0.0) >= PREFLIGHT_VALID_S:
             yield from self._preflight()
+        yield from self._one.look_again(self.restore)
         return self.evidence.void()
 
     def _command(self, name: str, command: int, params: tuple[Any, ...]) -> Steps[Ticket]:

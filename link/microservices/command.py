@@ -7,6 +7,7 @@ it had its effect (PX4 acknowledges OFFBOARD and stays where it is), so whoever 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -70,6 +71,7 @@ class Commander:
         self._send = send
         self._system_ids = system_ids
         self._tickets: dict[int, Ticket] = {}
+        self._sent_s: dict[int, float] = {}
 
     def start(
         self,
@@ -92,6 +94,14 @@ class Commander:
         self._tickets[command] = ticket
         self._attempt(now_s, ticket)
         return ticket
+
+    def waits_for(self, command: int) -> bool:
+        """Whether a command of this number is under way."""
+        return command in self._tickets
+
+    def sent_s(self, command: int) -> float:
+        """When a command of this number last left; minus infinity for never."""
+        return self._sent_s.get(command, -math.inf)
 
     def cancel(self, ticket: Ticket) -> None:
         """Stop asking."""
@@ -145,6 +155,7 @@ class Commander:
             self._finish(ticket, None, "control moved on")
             return
         ticket.sent += 1
+        self._sent_s[ticket.command] = now_s
         ticket.next_s = now_s + ticket.retry_s
 
     @staticmethod

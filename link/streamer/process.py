@@ -48,7 +48,7 @@ from link.streamer.recorder import Recorder
 from link.streamer.scheduling import lock_memory, raise_priority
 from link.transport.endpoint import Endpoint
 from link.transport.opening import open_endpoint
-from link.transport.port_lock import LinkLocks
+from link.transport.port_lock import LinkLocks, VehicleLock
 from link.wire.codec import StationCodec
 from link.wire.signing import Signing, SigningKey
 from link.wire.signing_timestamps import SigningStore
@@ -128,6 +128,7 @@ class Streamer:
         self.run_dir = run_dir
         self.endpoints = open_links(request)
         self.locks = LinkLocks(self.endpoints)
+        self.vehicle_lock = VehicleLock()
         self.clock = FlightClock() if request.speedup == 1.0 else PacedClock(request.speedup)
         epoch_unix_s = time.time()
         codecs = make_codecs(request, run_dir)
@@ -139,6 +140,7 @@ class Streamer:
             now_s=self.clock.now_s(),
             epoch_unix_s=epoch_unix_s,
             on_frame=self.recorder.frame,
+            claim=self.vehicle_lock.claim,
         )
         self.control = ControlServer(run_dir / SOCKET_FILE)
         self.events: list[dict[str, Any]] = []
@@ -288,6 +290,7 @@ class Streamer:
             with contextlib.suppress(OSError):  # as a killed process leaves them: in memory
                 store.close()
         self.locks.release()
+        self.vehicle_lock.release()
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -116,7 +116,7 @@ SURFACE = {
     ),
     "gcs.plan": "FailsafeReturn Place Plan ReturnRules failsafe_returns read_plan",
     "gcs.planning": "ReplanOrder default_planner plan_mission product_version recertify replan with_costs",
-    "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store back_up restore",
+    "gcs.store": "DataOwner Entry FlightRecord Idempotency MissionRecord Store back_up restore",
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
     "link.director": "PREFLIGHT_VALID_S judge_next",
