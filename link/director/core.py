@@ -135,8 +135,8 @@ class FlightCore:
         tick = self._grid.due(now_s)
         if tick is None:
             return self._grid.deadline_s
-        request, timeline = self.context.request, self._timeline
-        timeline.now_s = self._vehicle.now_s = max(timeline.now_s, now_s)
+        request = self.context.request
+        self._timeline.now_s = self._vehicle.now_s = max(self._timeline.now_s, now_s)
         self.lateness.add(tick.lateness_s / request.speedup, tick.skipped)
         if not self.finished:
             with self.containment.tick():
@@ -162,8 +162,7 @@ class FlightCore:
     def _hold_tick(self) -> None:
         """A tick with a fault of ours: the reference stands, heartbeats go on."""
         with self.containment.of("holding the tick"):
-            streams = self._timeline.state in STREAMED and self._procedure is None
-            if streams and self._control.last_setpoint_s < self._timeline.now_s:
+            if self._timeline.state in STREAMED and self._control.last_setpoint_s < self._timeline.now_s:
                 self.airborne.guidance.stay()
         with self.containment.of("heartbeats"):
             self.links.heartbeats()
@@ -207,7 +206,8 @@ class FlightCore:
         else:
             self.airborne.tick(dt_s)
             self._ask_for_telemetry()
-        watched = self._timeline.state.airborne or self._timeline.state is FlightState.READY
+        # Not after a lapse: somebody else may have the vehicle.
+        watched = self._timeline.state in (*STREAMED, FlightState.READY, FlightState.TAKEOFF, FlightState.LANDING)
         if watched and self._streams is None and not self.airborne.chain.moving:
             self.upkeep.step()
 

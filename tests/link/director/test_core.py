@@ -537,7 +537,8 @@ def test_a_vehicle_out_of_range_is_told_and_the_neighbour_that_has_it_takes_over
     position = context.vehicle.monitor.position
     assert position is not None
     assert not air.range.left
-    context.vehicle.monitor.position = replace(position, boot_s=position.boot_s + 0.01, lon_deg=4.79 + 450.0 / 67_200.0)
+    beyond = replace(position, boot_s=position.boot_s + 0.01, lon_deg=4.79 + 450.0 / 67_200.0)
+    context.vehicle.monitor.places.position = beyond
     air.range.update()
     assert air.range.margin_m == pytest.approx(-52.0, abs=10.0)
     one.run_for(0.2)

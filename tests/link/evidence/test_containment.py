@@ -6,7 +6,9 @@ import pytest
 
 from gcs.flight import FlightState
 from link.session.containment import FAULT
-from tests.support.flights.witnessed import BOTH, in_the_air
+from tests.support.flights.tampered import in_the_air, ready
+
+BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
 
 @BOTH
@@ -45,8 +47,6 @@ def test_three_exceptions_in_a_row_are_silence(autopilot: str) -> None:
 
 @BOTH
 def test_an_exception_on_the_ground_refuses_the_flight_and_never_begins_it(autopilot: str) -> None:
-    from tests.support.flights.witnessed import ready
-
     one = ready(autopilot)
 
     def failing() -> str:

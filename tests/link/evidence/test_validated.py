@@ -7,11 +7,13 @@ import pytest
 from gcs.flight import FlightState, OperatorCommand, TransitionError
 from link.dialect import mavlink
 from link.monitors.evidence import UNKNOWN
-from tests.support.flights.tampered import TamperedFlight, altered, without
-from tests.support.flights.witnessed import BOTH, in_the_air, ready
+from tests.support.flights.tampered import TamperedFlight, altered, in_the_air, ready, without
 from tests.support.plans.planned import relay_plan
 
+BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 INT32_MAX = 2**31 - 1
+
+
 ABSURD = {
     "0/0": {"lat": 0, "lon": 0},
     "INT32_MAX": {"lat": INT32_MAX, "lon": INT32_MAX, "alt": INT32_MAX},

@@ -9,8 +9,9 @@ import pytest
 
 from gcs.flight import FlightState, OperatorCommand, TransitionError
 from link.dialect import mavlink
-from tests.support.flights.tampered import TamperedFlight, altered
-from tests.support.flights.witnessed import BOTH, in_the_air, ready
+from tests.support.flights.tampered import TamperedFlight, altered, in_the_air, ready
+
+BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
 NORTH_50_M = round(50.0 / 0.0111319)
 

@@ -6,8 +6,9 @@ import pytest
 
 from gcs.flight import FlightState
 from link.monitors.evidence import SILENT
-from tests.support.flights.tampered import TamperedFlight, altered
-from tests.support.flights.witnessed import BOTH, in_the_air, ready
+from tests.support.flights.tampered import TamperedFlight, altered, in_the_air, ready
+
+BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
 DOUBT = "the vehicle's position estimate is in doubt"
 

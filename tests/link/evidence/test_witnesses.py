@@ -7,8 +7,9 @@ import pytest
 from gcs.flight import FlightState
 from link.dialect import mavlink
 from link.telemetry.boot_clock import BootClock
-from tests.support.flights.tampered import TamperedFlight, altered
-from tests.support.flights.witnessed import BOTH, in_the_air
+from tests.support.flights.tampered import TamperedFlight, altered, in_the_air
+
+BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 
 
 def own_beat(one: TamperedFlight, *, armed: bool, mode: int | None = None) -> object:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from gcs.flight import FlightState
 from link.dialect import mavlink
 from link.wire.codec import StationCodec
 from tests.support.flights.virtual import VirtualFlight
+from tests.support.plans.planned import relay_plan
 
 Tamper = Callable[[float, str, Any], Iterable[Any]]
 """(now, link, message) to the messages that go down instead."""
@@ -68,3 +70,20 @@ def altered(kind: str, **fields: Any) -> Tamper:
         return (type(message)(*(fields.get(name, getattr(message, name)) for name in message.fieldnames)),)
 
     return change
+
+
+def in_the_air(autopilot: str, plan_s: float = 6.0, **request: Any) -> TamperedFlight:
+    """A flight at a time of its plan."""
+    one = TamperedFlight(relay_plan(2), autopilot, frugal=True, request=request)
+    one.run(until=lambda: one.plan_s >= plan_s, limit_s=300.0)
+    assert one.core.state is FlightState.CRUISE
+    return one
+
+
+def ready(autopilot: str, **request: Any) -> TamperedFlight:
+    """A flight that has passed its preflight and waits for the launch command."""
+    one = TamperedFlight(relay_plan(2), autopilot, frugal=True, request={"auto_launch": False, **request})
+    one.run(until=lambda: one.core.state is FlightState.READY, limit_s=120.0)
+    assert one.core.state is FlightState.READY
+    one.run_for(2.0)
+    return one
