@@ -59,10 +59,11 @@ class _Watched:
 class FlightService:
     """All flights of a service."""
 
-    def __init__(self, settings: Settings, store: Store, changes: Changes) -> None:
+    def __init__(self, settings: Settings, store: Store, changes: Changes, owner: str | None = None) -> None:
         self._settings = settings
         self._store = store
         self._changes = changes
+        self._owner = owner
         self._watched: dict[str, _Watched] = {}
         self.restorer = Restorer(settings.data_dir)
 
@@ -81,13 +82,13 @@ class FlightService:
         asked = {"plan": plan.to_document(), "autopilot": vehicle["autopilot"], "links": links, "auto_launch": False}
         request = FlightRequest.from_document({**asked, **options, **security})
         for other in [one for one in list(self._watched.values()) if one.record.vehicle_id == vehicle_id]:
-            # That its last flight has ended must be in the store.
-            other.journal.wait(_SETTLE_S)
+            other.journal.wait(_SETTLE_S)  # that its last flight has ended must be in the store
         record = self._store.flights.add(
             mission_id=mission_id,
             version=version,
             plan_sha256=plan.plan_sha256,
             vehicle_id=vehicle_id,
+            owner=self._owner,
             document={"autopilot": vehicle["autopilot"], "links": links, "options": dict(options)},
         )
         folder = self._folder(record.id)
@@ -155,19 +156,43 @@ class FlightService:
             self._changes.tell(flight_id)
             if event.data.get("what") == "streamer died":
                 self.restorer.start()
+            if event.kind is EventKind.IDENTITY:
+                # Not here: the store may be slow, and the streamer's answers come on this thread.
+                identity = str(event.data["identity"])
+                threading.Thread(target=self._claim, args=(flight_id, watched, identity), daemon=True).start()
 
         return on_event
+
+    def _claim(self, flight_id: str, watched: _Watched, identity: str) -> None:
+        """Note which vehicle it is; end a flight of a vehicle that is on another. At launch it is asked for again."""
+        try:
+            self._store.flights.claim(flight_id, identity)
+        except ConflictError as error:
+            log.error("two flights of one vehicle", flight=flight_id, error=str(error))
+            with contextlib.suppress(TransitionError, SupervisorError):
+                if watched.flight is not None:
+                    watched.flight.command(OperatorCommand.ABORT, by="service", reason=str(error))
+        except (StoreError, NotFoundError) as error:
+            log.warning("the vehicle of a flight is not noted yet", flight=flight_id, error=str(error))
 
     # -- finding again ------------------------------------------------------------------------------------------------
 
     def reattach(self) -> None:
         """Connect to the streamers of flights that had not ended when the service last did."""
         for record in self._store.flights.page(limit=1000, active=True):
+            if not self._ours(record):
+                continue
             try:
                 self._reattach(record)
             except StoreError as error:
                 log.warning("flight not found again", flight=record.id, error=str(error))
         self.restorer.start()
+
+    def _ours(self, record: FlightRecord) -> bool:
+        """Whether a flight is this service's to find again, and to end where its streamer is gone."""
+        if record.owner is not None:
+            return record.owner == self._owner
+        return self._settings.database_url is None or Path(record.document.get("run_dir") or "/nonexistent").is_dir()
 
     def _reattach(self, record: FlightRecord) -> None:
         folder = Path(record.document.get("run_dir") or "/nonexistent")
@@ -206,8 +231,7 @@ class FlightService:
     def close(self) -> None:
         """Let go of flights in the air, which go on as far as authorised; end those that never left the ground.
 
-        Vehicles are given back what was changed before the service ends. What takes longer the streamer finishes by
-        itself, and where that is ended too, the next service does.
+        Vehicles get back what was changed; what takes longer the streamer finishes alone, or the next service.
         """
         self.restorer.stop()
         deadline = time.monotonic() + _RESTORATION_S
@@ -263,6 +287,9 @@ class FlightService:
                 f"the preflight is {age_s:.0f} s old, allowed is under {PREFLIGHT_VALID_S:.0f} s; "
                 "have it made again (preflight)"
             )
+        identity = status.get("vehicle_identity")
+        if identity is not None:
+            self._store.flights.claim(flight_id, str(identity))
         flight.command(OperatorCommand.LAUNCH, by=by, plan_sha256=plan_sha256)
 
     def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:
@@ -329,13 +356,12 @@ class FlightService:
         if watched is None:
             return self._store.flights.get(flight_id)
         status, kept = watched.status, watched.record
-        changed_utc, ended_utc = status.utc or kept.changed_utc, status.ended_utc or kept.ended_utc
-        return replace(kept, state=status.state, changed_utc=changed_utc, ended_utc=ended_utc)
+        ended_utc = status.ended_utc or kept.ended_utc
+        return replace(kept, state=status.state, changed_utc=status.utc or kept.changed_utc, ended_utc=ended_utc)
 
     def settle(self, flight_id: str) -> None:
         """Let what a flight's history still has on its way reach the store, for a moment at most."""
-        watched = self._watched.get(flight_id)
-        if watched is not None:
+        if (watched := self._watched.get(flight_id)) is not None:
             watched.journal.wait(_SETTLE_S)
 
     # -- looking ------------------------------------------------------------------------------------------------------

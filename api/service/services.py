@@ -20,7 +20,7 @@ from gcs.errors import StoreUnavailable
 from gcs.jobs import PlanningPool
 from gcs.plan import Plan, read_plan
 from gcs.settings import Settings
-from gcs.store import MissionRecord, Store
+from gcs.store import DataOwner, MissionRecord, Store
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
@@ -75,14 +75,17 @@ class Services:
             if record.status in ("planned", "infeasible", "failed"):
                 metrics.observe_planning(record.status, record.created_utc, record.changed_utc)
 
-        with Store(settings.url, lock_timeout_s=settings.lock_timeout_s) as store:
+        with (
+            contextlib.closing(DataOwner(settings.data_dir)) as owner,
+            Store(settings.url, lock_timeout_s=settings.lock_timeout_s) as store,
+        ):
             pool = PlanningPool(
                 store,
                 processes=settings.planner_processes,
                 limit_s=settings.planning_limit_s,
                 on_change=on_change,
             )
-            flights = FlightService(settings, store, changes)
+            flights = FlightService(settings, store, changes, owner.name)
             services = cls(settings, metrics, store, pool, changes, flights, Replanning(flights, pool))
             metrics.watch_counts("skyrelay_missions", "Mission versions by status", services.mission_counts)
             metrics.watch_counts("skyrelay_planners", "Planning processes by state", pool.stats)

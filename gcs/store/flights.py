@@ -37,6 +37,10 @@ class FlightRecord:
     created_utc: str
     changed_utc: str
     ended_utc: str | None
+    vehicle_identity: str | None = None
+    """Which vehicle it is by the vehicle's own word; None until it was asked."""
+    owner: str | None = None
+    """The service whose flight this is (`gcs.store.data_owner`)."""
 
 
 class FlightStore:
@@ -56,6 +60,7 @@ class FlightStore:
         vehicle_id: str,
         document: Mapping[str, Any] | None = None,
         state: FlightState = FlightState.CONNECTING,
+        owner: str | None = None,
     ) -> FlightRecord:
         """A new flight of a planned version.
 
@@ -94,6 +99,7 @@ class FlightStore:
                     plan_sha256=plan_sha256,
                     vehicle_id=vehicle_id,
                     state=state.value,
+                    owner=owner,
                     document=dump(dict(document or {})),
                     created_utc=now,
                     changed_utc=now,
@@ -126,6 +132,28 @@ class FlightStore:
             query = query.where(flights.c.ended_utc.is_(None))
         with self._db.read() as connection:
             return [_record(row._mapping) for row in connection.execute(query)]
+
+    def claim(self, flight_id: str, vehicle_identity: str) -> None:
+        """Note which vehicle a flight is of. Again the same does nothing.
+
+        Raises `NotFoundError`, and `ConflictError` when a flight that has not ended has that vehicle.
+        """
+        try:
+            with self._db.write() as connection:
+                self._get(connection, flight_id)
+                connection.execute(
+                    update(flights).where(flights.c.id == flight_id).values(vehicle_identity=vehicle_identity)
+                )
+        except IntegrityError:
+            with self._db.read() as connection:
+                busy = connection.execute(
+                    select(flights.c.id).where(
+                        flights.c.vehicle_identity == vehicle_identity, flights.c.ended_utc.is_(None)
+                    )
+                ).scalar_one_or_none()
+            raise ConflictError(
+                f"the vehicle ({vehicle_identity}) is on flight {busy or 'another'}, which has not ended"
+            ) from None
 
     def update(self, flight_id: str, document: Mapping[str, Any]) -> FlightRecord:
         """Replace what is kept with a flight. Raises `NotFoundError`."""

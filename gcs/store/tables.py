@@ -19,6 +19,7 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    text,
 )
 
 metadata = MetaData(
@@ -120,9 +121,19 @@ flights = Table(
     Column("created_utc", _Time, nullable=False),
     Column("changed_utc", _Time, nullable=False),
     Column("ended_utc", _Time),
+    # Which vehicle it is by its own word, once it was asked; and the service whose flight this is.
+    Column("vehicle_identity", String(128)),
+    Column("owner", _Id),
     ForeignKeyConstraint(["mission_id", "version"], ["mission_versions.mission_id", "mission_versions.version"]),
     Index("ix_flights_mission_id", "mission_id"),
     Index("ix_flights_vehicle_id", "vehicle_id"),
+    Index(
+        "uq_flights_running_vehicle_identity",
+        "vehicle_identity",
+        unique=True,
+        sqlite_where=text("ended_utc IS NULL"),
+        postgresql_where=text("ended_utc IS NULL"),
+    ),
 )
 
 flight_events = Table(

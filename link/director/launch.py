@@ -22,6 +22,7 @@ from link.microservices.command import Ticket
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
+from link.monitors.one_vehicle import OneVehicle
 from link.monitors.telemetry_upkeep import streams_of
 from link.preflight.check import Check, Level, worst, worst_first
 from link.preflight.evidence import PreflightEvidence
@@ -58,6 +59,7 @@ class Launch:
         flight: FlightContext,
         parameters: ParameterClient,
         missions: MissionClient,
+        one_vehicle: OneVehicle,
         journal: ChangeJournal | None = None,
     ) -> None:
         self._flight = flight
@@ -66,6 +68,7 @@ class Launch:
         self._vehicle = flight.vehicle
         self._control = flight.control
         self.parameters = parameters
+        self._one = one_vehicle
         self.borrowed = BorrowedSettings(flight, parameters, missions, journal)
         self.values: dict[str, Parameter | None] = {}
         self.asking = Asking()
@@ -75,9 +78,9 @@ class Launch:
         self.commanded = flight.request.auto_launch
         self.renewed = False
         self.preflight_id = 0
+        self.stuck = False  # the climb ended without its height
         self.evidence = PreflightEvidence(flight)
-        self._passed_s: float | None = None
-        """The flight's clock when the last preflight passed."""
+        self._passed_s: float | None = None  # the flight's clock when the last preflight passed
 
     def run(self) -> Steps[None]:
         """All of it. Raises `Refused` while the vehicle is on the ground."""
@@ -91,28 +94,24 @@ class Launch:
             self.commanded, self._passed_s = self._request.auto_launch, None
             yield from self._preflight(void)
         self._timeline.become(FlightState.ARMING, "launch")
-        yield from TakeOff(self._flight, self.restore, self.evidence).run(self.ground_amsl_m)
+        self.stuck = yield from TakeOff(self._flight, self.restore, self.evidence).run(self.ground_amsl_m)
 
     # -- connect ------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> Steps[None]:
-        timeline, vehicle = self._timeline, self._vehicle
+        timeline, vehicle, monitor = self._timeline, self._vehicle, self._vehicle.monitor
         first = self._flight.plan.station_ids[0]
         self._control.grant(first, "first station")
         heard = yield from wait_until(
             timeline,
-            lambda: (
-                vehicle.monitor.heartbeat is not None and vehicle.monitor.heard_within(timeline.now_s, first, HEARD_S)
-            ),
+            lambda: monitor.heartbeat is not None and monitor.heard_within(timeline.now_s, first, HEARD_S),
             self._request.connect_timeout_s,
         )
         if not heard:
             over = f"over the link of {first} ({self._request.shown(first)}) in {self._request.connect_timeout_s:g} s"
-            raise Refused(
-                f"no heartbeat of system {vehicle.system_id}, component 1 {over}: "
-                "is the vehicle there, its id and the link right?"
-            )
-        heartbeat = vehicle.monitor.heartbeat
+            hint = "is the vehicle there, its id and the link right?"
+            raise Refused(f"no heartbeat of system {vehicle.system_id}, component 1 {over}: {hint}")
+        heartbeat = monitor.heartbeat
         assert heartbeat is not None
         if heartbeat.autopilot != vehicle.profile.autopilot_id:
             raise Refused(
@@ -129,19 +128,19 @@ class Launch:
     def _know_vehicle(self) -> Steps[None]:
         """Whatever the vehicle tells when asked: streams, version, origin over every link, home."""
         vehicle, control = self._vehicle, self._control
-        control.grant(self._flight.plan.station_ids[0], "first station")
+        first = self._flight.plan.station_ids[0]
+        control.grant(first, "first station")
         yield from self._break_in()
+        yield from self._one.identify(first)
+        # Before anything is changed on it: on another flight it must not notice this one.
+        self._one.claim()
         yield from self.request_streams()
-        yield from self._ask_for_message(
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, lambda: vehicle.monitor.version is not None, 5.0
-        )
         if vehicle.monitor.version is not None:
-            capabilities = int(vehicle.monitor.version.capabilities)
-            self.parameters.encoding = encoding_of(capabilities, vehicle.profile.parameter_encoding)
+            told = int(vehicle.monitor.version.capabilities)
+            self.parameters.encoding = encoding_of(told, vehicle.profile.parameter_encoding)
         if (yield from self.borrowed.note.recover()):
             yield from self._break_in()
         # The EKF lays its origin once it has a position: on a cold vehicle that takes most of a minute.
-        first = self._flight.plan.station_ids[0]
         known = yield from self._ask_for_message(
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
             lambda: vehicle.monitor.links[first].origin is not None and vehicle.position is not None,
@@ -152,8 +151,8 @@ class Launch:
             what = f"what it tells is not believed, {why}" if why else "does the vehicle have satellites?"
             raise Refused(f"no position and EKF origin in {self._request.arm_timeout_s:g} s: {what}")
         vehicle.origin = vehicle.monitor.links[first].origin
-        for station in dict.fromkeys(self._flight.plan.station_ids):
-            # Every link in turn, in control for a moment, on the ground: what it will carry is tried now.
+        for station in self._request.stations:
+            # Every link in turn, in control for a moment, still on the ground: what it will carry is tried now.
             if station != first and self._link_works(station):
                 control.grant(station, "link check on the ground")
                 yield from self._ask_for_message(
@@ -161,6 +160,7 @@ class Launch:
                     lambda s=station: vehicle.monitor.links[s].origin is not None,  # type: ignore[misc]
                     3.0,
                 )
+                yield from self._one.identify(station)
         control.grant(first, "first station")
         yield from self._ask_for_message(
             mavlink.MAVLINK_MSG_ID_HOME_POSITION, lambda: vehicle.monitor.home is not None, HEARD_S
@@ -240,6 +240,7 @@ class Launch:
             raise Refused("preflight: " + "; ".join(check.said for check in worst_first(checks) if check.blocks))
         vehicle.loss_timeout_s = self._loss_timeout_s()
         self._passed_s = timeline.now_s
+        self._one.passed()
         timeline.become(FlightState.READY, "preflight passed")
 
     @property
@@ -270,6 +271,7 @@ class Launch:
         told = None if unix is None else (unix[0], self._timeline.utc.unix_s(unix[1]))
         return [
             *judge_identity(vehicle.profile, identity, heartbeat.vehicle_type),
+            *self._one.judge(),
             *judge_vehicle(
                 armed=heartbeat.armed,
                 landed_state=vehicle.landed_state,
@@ -300,18 +302,15 @@ class Launch:
             asked.update({one.name: one for one in again})
             yield from wait_until(self._timeline, lambda a=again: all(one.finished for one in a), 60.0)  # type: ignore[misc]
             denied = frozenset(one.name for one in asked.values() if one.denied)
-            self.asking = Asking(attempts, self._loss(), denied)
+            # Share of questions that go unanswered lately on the link of the station in control, by its probes.
+            link = self._vehicle.monitor.links[self._control.in_force.station_id].active
+            self.asking = Asking(attempts, link.round_loss(self._timeline.now_s), denied)
             if not self.asking.unsure:
                 break
         answers = {name: one.answer for name, one in asked.items()}
         self.values = {p.key: next((answers[n] for n in p.names if answers[n] is not None), None) for p in known}
         simulator = answers[SIMULATOR_PARAMETER]
         self.simulator_speedup = None if simulator is None else float(simulator.value)
-
-    def _loss(self) -> float | None:
-        """Share of questions that go unanswered lately on the link of the station in control, by its probes."""
-        station = self._control.in_force.station_id
-        return self._vehicle.monitor.links[station].active.round_loss(self._timeline.now_s)
 
     def _failsafes(self) -> Steps[list[Check]]:
         """Judge the parameters; set what is unsafe where that is allowed, and judge again what is read back."""
@@ -368,18 +367,20 @@ class Launch:
         """Until the launch is commanded on a preflight that holds; why it holds no more, where it does not."""
         self.renewed, limit_s = False, self._request.launch_timeout_s
         ready = yield from wait_until(
-            self._timeline, lambda: self.commanded or self.renewed or bool(self.evidence.void()), limit_s
+            self._timeline,
+            lambda: self.commanded or self.renewed or bool(self.evidence.void() or self._one.hindrance()),
+            limit_s,
         )
         if void := self.evidence.void():
             return void
         if not ready:
             yield from self.restore()
             raise Refused(f"no word to launch in {limit_s:g} s")
-        if not self.commanded:
+        if not self.commanded and self.renewed:
             return "it is made again, as asked"
-        age_s = self.preflight_age_s
-        if age_s is None or age_s >= PREFLIGHT_VALID_S:
+        if self.commanded and (self.preflight_age_s or 0.0) >= PREFLIGHT_VALID_S:
             yield from self._preflight()
+        yield from self._one.look_again(self.restore)
         return self.evidence.void()
 
     def _command(self, name: str, command: int, params: tuple[Any, ...]) -> Steps[Ticket]:

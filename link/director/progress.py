@@ -7,6 +7,7 @@ from typing import Any
 
 from gcs.flight import EventKind, FlightState
 from link.director.airborne import Airborne
+from link.director.operation.lapse_watch import LapseWatch
 from link.session.context import FlightContext
 
 PROGRESS_S = 1.0
@@ -29,6 +30,7 @@ class Announcer:
         self._told_t0 = False
         self._plan_sha256 = flight.plan.plan_sha256
         self._behind = False
+        self.lapse = LapseWatch(flight, airborne.lost_link)
         self._foreign: dict[int, float] = {}
 
     def update(self) -> None:
@@ -40,6 +42,7 @@ class Announcer:
                 self._foreign[system_id] = heard_s
         if not timeline.state.airborne:
             return
+        self.lapse.update()
         self._retime()
         self._tell_behind()
         if timeline.now_s - self._progress_s >= PROGRESS_S:
@@ -120,6 +123,8 @@ class Announcer:
             "battery_percent": vehicle.monitor.battery_percent,
             "handovers_done": air.chain.leg,
             "held_for": air.held.text if timeline.state is FlightState.HOLDING else None,
-            "handovers": self.handovers_to_come()[:1],
+            # Standing, or off the plan, no time can be given for a handover.
+            "handovers": self.handovers_to_come()[:1] if timeline.state is FlightState.CRUISE else [],
+            "lapse": self.lapse.picture() if timeline.state is FlightState.LAPSED else None,
             "links": {link.station_id: link.to_document(timeline.now_s) for link in vehicle.monitor.links.values()},
         }

@@ -38,14 +38,16 @@ class TakeOff:
         self._restore = restore
         self._evidence = evidence
 
-    def run(self, ground_amsl_m: float) -> Steps[None]:
-        """All of it, from the ground at that altitude. Raises `Refused` while the vehicle is on the ground."""
-        if self._vehicle.profile.climbs_by_command:
-            yield from self._climb_by_command(ground_amsl_m)
-        else:
-            yield from self._climb_by_setpoints(ground_amsl_m)
+    def run(self, ground_amsl_m: float) -> Steps[bool]:
+        """All of it, from the ground at that altitude; whether the vehicle is stuck on the way up.
 
-    def _climb_by_command(self, ground_amsl_m: float) -> Steps[None]:
+        Raises `Refused` while the vehicle is on the ground.
+        """
+        if self._vehicle.profile.climbs_by_command:
+            return (yield from self._climb_by_command(ground_amsl_m))
+        return (yield from self._climb_by_setpoints(ground_amsl_m))
+
+    def _climb_by_command(self, ground_amsl_m: float) -> Steps[bool]:
         timeline, vehicle = self._timeline, self._vehicle
         yield from self._enter(vehicle.profile.offboard_mode, None)
         yield from self._arm(None)
@@ -68,6 +70,7 @@ class TakeOff:
             timeline.alarm("take-off stuck", height_m=height_m)
         # Arming lays home anew, and may tell the origin again.
         vehicle.adopt_origin(self._flight.plan.station_ids[0])
+        return not climbed
 
     def _at_height(self, up_m: float) -> bool:
         vehicle = self._vehicle
@@ -76,7 +79,7 @@ class TakeOff:
             return False
         return abs(here[2] - up_m) <= SETTLED_M and abs(position.velocity_ned_m_s[2]) <= SETTLED_M_S
 
-    def _climb_by_setpoints(self, ground_amsl_m: float) -> Steps[None]:
+    def _climb_by_setpoints(self, ground_amsl_m: float) -> Steps[bool]:
         timeline, vehicle, control = self._timeline, self._vehicle, self._control
         here = yield from self._place()
         up_m = float(self._flight.plan.trajectory.evaluate(0.0)[2])
@@ -102,14 +105,15 @@ class TakeOff:
         while not (climb.finished and self._at_height(up_m)):
             # One HEARTBEAT alone decides nothing; what became of it is judged in the air.
             if (not vehicle.armed or not vehicle.follows) and vehicle.monitor.beats_alike >= 2:
-                return
+                return False
             if timeline.now_s >= deadline_s:
                 timeline.alarm("take-off stuck", height_m=up_m + self._flight.plan.plane.alt_amsl_m - ground_amsl_m)
-                return
+                return True
             # Not on, while it is not known where the vehicle is.
             climb.step(period_s, 0.0 if vehicle.position is None else 1.0)
             control.send_setpoint(climb.setpoint())
             yield
+        return False
 
     def _enter(self, mode: str, streamed: Setpoint | None) -> Steps[None]:
         """Enter a mode, disarmed; believes the HEARTBEAT. Raises `Refused`."""

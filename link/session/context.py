@@ -59,7 +59,9 @@ class FlightContext:
         profile = PROFILES[request.autopilot]
         timeline = Timeline(UtcScale(epoch_unix_s), now_s)
         own_ids = frozenset(system_ids.values()) | {vehicle_id}
-        monitor = VehicleMonitor(request.stations, vehicle_id, own_ids, request.urls, _reach(plan))
+        monitor = VehicleMonitor(
+            request.stations, vehicle_id, own_ids, request.urls, _reach(plan), speedup=request.speedup
+        )
         patience = max(1.0, request.speedup / PATIENT_SPEEDUP)
         vehicle = Vehicle(profile, monitor, plan.plane, now_s=now_s, patience=patience)
         gate = TransmitterGate(

@@ -49,7 +49,7 @@ from link.streamer.recorder import Recorder
 from link.streamer.scheduling import lock_memory, raise_priority
 from link.transport.endpoint import Endpoint
 from link.transport.opening import open_endpoint
-from link.transport.port_lock import LinkLocks
+from link.transport.port_lock import LinkLocks, VehicleLock
 from link.wire.codec import StationCodec
 from link.wire.signing import Signing, SigningKey
 from link.wire.signing_timestamps import SigningStore
@@ -129,6 +129,7 @@ class Streamer:
         self.run_dir = run_dir
         self.endpoints = open_links(request)
         self.locks = LinkLocks(self.endpoints)
+        self.vehicle_lock = VehicleLock()
         self.clock = FlightClock() if request.speedup == 1.0 else PacedClock(request.speedup)
         epoch_unix_s = time.time()
         codecs = make_codecs(request, run_dir)
@@ -141,6 +142,7 @@ class Streamer:
             epoch_unix_s=epoch_unix_s,
             on_frame=self.recorder.frame,
             journal=FileJournal(run_dir=run_dir),
+            claim=self.vehicle_lock.claim,
         )
         self.control = ControlServer(run_dir / SOCKET_FILE)
         self.events: list[dict[str, Any]] = []
@@ -290,6 +292,7 @@ class Streamer:
             with contextlib.suppress(OSError):  # as a killed process leaves them: in memory
                 store.close()
         self.locks.release()
+        self.vehicle_lock.release()
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AUTOPILOT_COMPONENT
 from link.dialect import mavlink
+from link.telemetry.board import BoardWatch
 from link.telemetry.boot_clock import BootClock
 from link.telemetry.plausibility import HomePlace, Position, PositionGate, Reach, no_place
 from link.telemetry.station_link import StationLink
@@ -70,6 +71,8 @@ class VehicleMonitor:
         own_system_ids: frozenset[int],
         urls: Mapping[str, Sequence[str]] | None = None,
         reach: Reach | None = None,
+        *,
+        speedup: float = 1.0,
     ) -> None:
         self.vehicle_system_id = vehicle_system_id
         self.links = {station: StationLink(station, (urls or {}).get(station, ("",))) for station in stations}
@@ -98,6 +101,7 @@ class VehicleMonitor:
         self.control_s = -math.inf
         self.target: Any = None
         self.target_s = -math.inf
+        self.board = BoardWatch(speedup)
         self.foreign_stations: dict[int, float] = {}
         self._own = own_system_ids
         self._reach = reach
@@ -125,10 +129,16 @@ class VehicleMonitor:
         link = self.links[station_id]
         path = link.path(url)
         path.heard(now_s, message.get_seq())
+        self.board.on_frame(now_s, path.url, message)
+        if kind == "AUTOPILOT_VERSION":
+            self.board.on_version(now_s, path.url, message)
         self.kinds_s[message.get_msgId()] = now_s
         self.clock.heard(now_s, booting=kind == "HEARTBEAT" and message.system_status in _BOOTING)
         if kind == "TIMESYNC":
             if message.tc1 != 0:
+                sent_s = path.probe_sent_s(message.ts1)
+                if sent_s is not None:
+                    self.board.on_timesync(now_s, sent_s, message.tc1)
                 path.answered(message.ts1, now_s)
                 self._in_order(now_s, kind, message.tc1 * 1e-9)
             return True

@@ -168,7 +168,7 @@ def _place(text: str, frame: Mapping[str, Any]) -> dict[str, float]:
 
 def _shown(answer: Mapping[str, Any]) -> str:
     """A flight now, in a line or two."""
-    from api.cli.commands.flight_view import clock, state_text
+    from api.cli.commands.flight_view import clock, lapse_text, state_text
 
     live = answer["live"]
     parts = [state_text(answer["phase"])]
@@ -177,12 +177,14 @@ def _shown(answer: Mapping[str, Any]) -> str:
     if live["station"] is not None:
         parts.append(f"{live['station']} in control")
     if live["margin_m"] is not None:
-        parts.append(f"{live['margin_m']:.0f} m of range left")
+        margin_m = live["margin_m"]
+        parts.append(f"{margin_m:.0f} m of range left" if margin_m >= 0.0 else f"{-margin_m:.0f} m OUT OF RANGE")
     following = live["next_handover"]
     if following:
         parts.append(f"{following['to']} takes over in {clock(max(0.0, following['in_s']))}")
     line = f"flight {answer['id']}: {', '.join(parts)}"
-    return f"{line}\n  {live['reason']}" if live["reason"] else line
+    line = f"{line}\n  {live['reason']}" if live["reason"] else line
+    return f"{line}\n  {lapse_text(live['lapse'])}" if live.get("lapse") else line
 
 
 def _proposed(flight_id: str, proposal: Mapping[str, Any]) -> str:

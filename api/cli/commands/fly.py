@@ -96,8 +96,9 @@ class FlyOptions:
 def run_fly(given: FlyOptions) -> int:
     """Fly a plan: preflight, arm, take off, follow the plan, hand over from station to station, land.
 
-    Ctrl-C in the air asks for the contingency procedure in force; a second one lets go of the vehicle, whose own
-    failsafe then acts. Ends with 4 when the flight did not end as planned.
+    Ctrl-C commands `abort`: on the ground motors off and everything given back, in the air the contingency procedure in
+    force; a second one lets go of the vehicle, whose own failsafe then acts. Ends with 0 when the flight was flown as
+    planned, or landed where an operator commanded it to; else with 4.
     """
     plan = inputs.plan(given.plan_file)
     request = request_of(

@@ -74,7 +74,7 @@ def serve(
 def _check_store(settings: Settings) -> None:
     """Open the store once before the service does, so that what is wrong with it is said in one block."""
     from gcs.errors import StoreUnavailable
-    from gcs.store import Store
+    from gcs.store import DataOwner, Store
 
     try:
         settings.prepare()
@@ -86,6 +86,13 @@ def _check_store(settings: Settings) -> None:
                 "what": error.strerror or str(error),
                 "fix": "name another place with --data, or restore a safety copy",
             },
+        ) from None
+    try:
+        DataOwner(settings.data_dir).close()
+    except StoreUnavailable as error:
+        raise BadInputError(
+            "the data directory is in use",
+            {"where": str(settings.data_dir), "what": str(error), "fix": "stop that service, or name another --data"},
         ) from None
     try:
         Store(settings.url, lock_timeout_s=settings.lock_timeout_s).close()
