@@ -11,9 +11,10 @@ import numpy as np
 
 from gcs.flight import EventKind
 from gcs.plan import Plan
-from link.director.guidance import Guidance, Vector
+from link.director.guidance import Guidance
 from link.handover.handover_chain import HandoverChain
 from link.session.context import FlightContext
+from link.setpoints.setpoint import Vector
 
 
 class Diversion:

@@ -18,9 +18,8 @@ from link.monitors.tracking import LagMonitor
 from link.session.context import FlightContext
 from link.setpoints.reference import ReferenceTrajectory
 from link.setpoints.sampler import SetpointSampler
+from link.setpoints.setpoint import Vector
 from link.setpoints.straight_line import StraightLine
-
-Vector = tuple[float, float, float]
 
 AT_LIMIT_M = 0.5
 """Standing this close before a limit is standing at it."""
