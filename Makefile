@@ -7,7 +7,7 @@ DIALECT := link/dialect/skyrelay.py
 # pytest-xdist workers
 JOBS ?= 2
 
-.PHONY: setup run test check quick soak format lock clean
+.PHONY: setup run test check quick soak format lock clean postgresql
 
 setup: $(STAMP) $(DIALECT)
 
@@ -33,10 +33,14 @@ check: setup
 quick: setup
 	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "not slow and not soak"
 
-test: check
+test: check postgresql
 	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "not soak"
 
-soak: setup
+# What the store's tests on PostgreSQL need: installed where it may be, said in one line where not.
+postgresql: setup
+	@$(BIN)/python -m tests.support.processes.postgresql
+
+soak: setup postgresql
 	$(BIN)/pytest -m soak --timeout 0
 
 format: setup

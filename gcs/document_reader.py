@@ -18,6 +18,11 @@ from gcs.errors import InputFault, MissionError
 MAX_DOCUMENT_BYTES = 50_000_000
 MAX_FAULTS = 200
 _IDENTIFIER = re.compile(r"[^\W_][\w .\-:+#()'&]*")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+_COMMA_IN_JSON = re.compile(r":\s*([+-]?\d+),(\d+)")
+_XML = {"<kml": "KML", "<gpx": "GPX", "<mission": "an XML mission file", "<html": "a web page"}
+# Scripts whose letters look like each other's.
+_ALIKE = ("LATIN", "CYRILLIC", "GREEK", "ARMENIAN", "CHEROKEE", "COPTIC")
 
 
 class FaultList(list[InputFault]):
@@ -187,6 +192,13 @@ class Reader:
         value = self.text(key, 64, required=True)
         if value is None:
             return ""
+        # An accent may be written as a sign of its own: the same letter to everybody but a computer.
+        value = unicodedata.normalize("NFC", value)
+        scripts = {unicodedata.name(c, "").partition(" ")[0] for c in value if c.isalpha()}
+        mixed = [script.capitalize() for script in _ALIKE if script in scripts]
+        if len(mixed) > 1:
+            what = f"mixes {' and '.join(mixed)} letters, some of which look the same"
+            self.fault(key, what, "letters of one script", "write it with letters of one")
         if not _IDENTIFIER.fullmatch(value):
             self.fault(
                 key,
@@ -239,6 +251,8 @@ def _bare(value: object, unit: str) -> str:
         try:
             number = float(value.strip())
         except ValueError:
+            if _DECIMAL_COMMA.fullmatch(value.strip()):
+                return f"write {value.strip().replace(',', '.')}: a decimal point, without quotes"
             return f"give a plain number, in {unit}, without quotes"
         if math.isfinite(number):
             return f"write {number:.15g} without quotes"
@@ -266,6 +280,9 @@ def parse_json(data: bytes | str, *, max_bytes: int = MAX_DOCUMENT_BYTES) -> obj
     if len(raw) > max_bytes:
         fix = "leave out what the mission does not need"
         raise MissionError([InputFault("mission", f"has {len(raw)} bytes", None, f"at most {max_bytes} bytes", fix)])
+    if raw.startswith(b"PK\x03\x04"):
+        fix = "unpack it, and write what it holds as a mission in JSON"
+        raise MissionError([InputFault("mission", "is a zip archive (KMZ, perhaps)", None, "JSON in UTF-8", fix)])
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -276,8 +293,7 @@ def parse_json(data: bytes | str, *, max_bytes: int = MAX_DOCUMENT_BYTES) -> obj
     try:
         return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
-        what = f"is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}"
-        raise MissionError([InputFault("mission", what, None, "a JSON object", "correct the text there")]) from None
+        raise MissionError([_not_json(text, error)]) from None
     except RecursionError:
         fix = "remove the brackets that hold nothing"
         raise MissionError([InputFault("mission", "is nested too deep", None, "objects as documented", fix)]) from None
@@ -286,6 +302,42 @@ def parse_json(data: bytes | str, *, max_bytes: int = MAX_DOCUMENT_BYTES) -> obj
     except ValueError:  # an integer of thousands of digits
         what, allowed = "holds a whole number of thousands of digits", "numbers of up to 4300 digits"
         raise MissionError([InputFault("mission", what, None, allowed, "write a number that is meant")]) from None
+
+
+def _not_json(text: str, error: json.JSONDecodeError) -> InputFault:
+    """What is wrong with text that is no JSON: another program's file, a decimal comma, or a slip at a place."""
+    other = _other_format(text)
+    if other is not None:
+        fix = "write what it holds as a mission in JSON: start, destination, stations, limits"
+        return InputFault("mission", f"is {other}, not JSON", None, "a JSON object", fix)
+    where = f"line {error.lineno}, column {error.colno}"
+    line = text.splitlines()[error.lineno - 1] if error.lineno <= len(text.splitlines()) else ""
+    comma = _COMMA_IN_JSON.search(line)
+    if comma is not None:
+        what = f"holds a number with a decimal comma, {comma[1]},{comma[2]}, at line {error.lineno}"
+        fix = f"write {comma[1]}.{comma[2]}, with a point"
+        return InputFault("mission", what, None, "numbers with a decimal point", fix)
+    return InputFault(
+        "mission", f"is not valid JSON: {error.msg} at {where}", None, "a JSON object", "correct the text there"
+    )
+
+
+def _other_format(text: str) -> str | None:
+    """The kind of file that a text is, where it is a well-known other one."""
+    head = text.lstrip()[:4_000]
+    if head.startswith("QGC WPL"):
+        return "a waypoint file (QGC WPL)"
+    if head.startswith("<"):
+        for sign, name in _XML.items():
+            if sign in head.lower():
+                return name
+        return "XML"
+    lines = head.splitlines()
+    plain = bool(lines) and not any(sign in lines[0] for sign in '{}[]"') and lines[0].strip()[:1].isalpha()
+    for mark in (",", ";", "\t"):
+        if plain and len(lines) > 1 and lines[0].count(mark) >= 2 and lines[1].count(mark) == lines[0].count(mark):
+            return "a table (CSV)"
+    return None
 
 
 class _BadJsonError(Exception):

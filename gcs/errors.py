@@ -118,7 +118,8 @@ class MissionInfeasible(GcsError):  # noqa: N818 - the name is part of the inter
     ``reason`` is a word for programs (those of `planner.errors.Infeasibility`, and ``"endurance"``, ``"arrival"``);
     ``stations`` are ids; ``where`` holds ``lat_deg``, ``lon_deg``, ``alt_amsl_m`` (and ``east_m``, ``north_m``,
     ``up_m``) of the place, or is None; ``gap_m`` is the missing range; ``fix`` is the smallest single remedy as data,
-    ``fix_text`` in words.
+    ``fix_text`` in words. ``causes``: where more than one thing stands in the way, all of them in flight order, each an
+    object of the same names with what mends it alone.
     """
 
     def __init__(
@@ -131,6 +132,7 @@ class MissionInfeasible(GcsError):  # noqa: N818 - the name is part of the inter
         gap_m: float | None = None,
         fix: Mapping[str, object] | None = None,
         fix_text: str = "",
+        causes: Sequence[Mapping[str, object]] = (),
     ) -> None:
         super().__init__(f"{message} {fix_text}".strip())
         self.reason = reason
@@ -140,6 +142,7 @@ class MissionInfeasible(GcsError):  # noqa: N818 - the name is part of the inter
         self.gap_m = gap_m
         self.fix = dict(fix) if fix is not None else None
         self.fix_text = fix_text
+        self.causes = tuple(dict(cause) for cause in causes)
 
     def to_document(self) -> dict[str, object]:
         """As JSON, for a 409 and for the store."""
@@ -151,6 +154,7 @@ class MissionInfeasible(GcsError):  # noqa: N818 - the name is part of the inter
             "gap_m": self.gap_m,
             "fix": self.fix,
             "fix_text": self.fix_text,
+            "causes": [dict(cause) for cause in self.causes],
         }
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -166,6 +170,7 @@ def infeasible_from_document(document: Mapping[str, object]) -> MissionInfeasibl
     """The error again from `MissionInfeasible.to_document`."""
     stations = document.get("stations")
     where, fix, gap = document.get("where"), document.get("fix"), document.get("gap_m")
+    causes = document.get("causes")
     return MissionInfeasible(
         str(document["reason"]),
         str(document["message"]),
@@ -174,6 +179,7 @@ def infeasible_from_document(document: Mapping[str, object]) -> MissionInfeasibl
         gap_m=float(gap) if isinstance(gap, int | float) else None,
         fix=fix if isinstance(fix, dict) else None,
         fix_text=str(document.get("fix_text", "")),
+        causes=[cause for cause in causes if isinstance(cause, dict)] if isinstance(causes, list) else (),
     )
 
 

@@ -9,7 +9,7 @@ Pure: no clock, no wire. `link.director.core` drives these on the wire, the stor
                                                                                |       hold resume
                                                                              resume      v  |
                                                        lapsed (silent) <-------------  holding -> returning -> landing
-    every state -> one of the ends: completed, refused, contingency, lost
+    every state -> one of the ends: completed, landed, refused, contingency, lost
 
 A handover, seen from the receiving station::
 
@@ -63,6 +63,8 @@ class FlightState(StrEnum):
     LANDING = "landing"
     COMPLETED = "completed"
     """An end: the mission was flown as planned."""
+    LANDED = "landed"
+    """An end: landed where it was, because an operator commanded `land`."""
     REFUSED = "refused"
     """An end: never armed."""
     CONTINGENCY = "contingency"
@@ -82,14 +84,17 @@ class FlightState(StrEnum):
 
     @property
     def exit_code(self) -> int:
-        """What ``skyrelay fly`` ends with: 0 completed, 4 any other end. Raises `TransitionError` before the end."""
+        """What ``skyrelay fly`` ends with: 0 completed, or landed as commanded; 4 any other end.
+
+        Raises `TransitionError` before the end.
+        """
         if not self.ended:
             raise TransitionError(f"a flight that is {self} has no result yet")
-        return 0 if self is FlightState.COMPLETED else 4
+        return 0 if self in (FlightState.COMPLETED, FlightState.LANDED) else 4
 
 
 _S = FlightState
-_ENDS = frozenset({_S.COMPLETED, _S.REFUSED, _S.CONTINGENCY, _S.LOST})
+_ENDS = frozenset({_S.COMPLETED, _S.LANDED, _S.REFUSED, _S.CONTINGENCY, _S.LOST})
 _AIRBORNE = frozenset({_S.TAKEOFF, _S.TRANSIT, _S.CRUISE, _S.HOLDING, _S.RETURNING, _S.LAPSED, _S.ARRIVED, _S.LANDING})
 _BAD_ENDS_IN_FLIGHT = frozenset({_S.CONTINGENCY, _S.LOST})
 
@@ -107,7 +112,7 @@ FLIGHT_TRANSITIONS: Mapping[FlightState, frozenset[FlightState]] = MappingProxyT
         _S.RETURNING: frozenset({_S.HOLDING, _S.LANDING, _S.LAPSED}) | _BAD_ENDS_IN_FLIGHT,
         _S.LAPSED: frozenset({_S.TRANSIT, _S.LANDING}) | _BAD_ENDS_IN_FLIGHT,
         _S.ARRIVED: frozenset({_S.LANDING, _S.COMPLETED, _S.LAPSED}) | _BAD_ENDS_IN_FLIGHT,
-        _S.LANDING: frozenset({_S.COMPLETED, _S.LAPSED}) | _BAD_ENDS_IN_FLIGHT,
+        _S.LANDING: frozenset({_S.COMPLETED, _S.LANDED, _S.LAPSED}) | _BAD_ENDS_IN_FLIGHT,
         **{end: frozenset() for end in _ENDS},
     }
 )
@@ -197,6 +202,8 @@ class OperatorCommand(StrEnum):
 
     LAUNCH = "launch"
     """Arm and go (after a passed preflight)."""
+    PREFLIGHT = "preflight"
+    """Make the preflight again, before the launch command."""
     HOLD = "hold"
     RESUME = "resume"
     ABORT = "abort"
@@ -214,34 +221,13 @@ class OperatorCommand(StrEnum):
     """The flight may go on up to a given T+ of the plan, parent or no parent."""
 
 
-COMMANDS_ALLOWED: Mapping[OperatorCommand, frozenset[FlightState]] = MappingProxyType(
-    {
-        OperatorCommand.LAUNCH: frozenset({_S.READY}),
-        OperatorCommand.HOLD: frozenset({_S.TRANSIT, _S.CRUISE, _S.RETURNING, _S.HOLDING}),
-        OperatorCommand.RESUME: frozenset({_S.HOLDING, _S.LAPSED}),
-        OperatorCommand.ABORT: frozenset(_S) - _ENDS,
-        OperatorCommand.LAND: _AIRBORNE,
-        OperatorCommand.READY: frozenset(_S) - _ENDS,
-        OperatorCommand.ACCEPT: frozenset(_S) - _ENDS,
-        OperatorCommand.REFUSE: frozenset(_S) - _ENDS,
-        OperatorCommand.REPLAN: frozenset({_S.CRUISE, _S.HOLDING}),
-        OperatorCommand.AUTHORISE: frozenset(_S) - _ENDS,
-    }
-)
-
-
-def check_operator_command(command: OperatorCommand, state: FlightState) -> None:
-    """Raises `TransitionError` when ``command`` means nothing to a flight that is ``state``."""
-    if state not in COMMANDS_ALLOWED[command]:
-        allowed = ", ".join(sorted(COMMANDS_ALLOWED[command]))
-        raise TransitionError(f"'{command}' needs a flight that is {allowed}; this one is {state}")
-
-
 class EventKind(StrEnum):
     """What a `FlightEvent` tells."""
 
     STATE = "state"
     """The flight's state changed: ``data`` has from, to, reason."""
+    IDENTITY = "identity"
+    """Which vehicle this is, by its own word, and that this flight alone has it: identity, unique_id, system_id."""
     CHECK = "check"
     """One finding of the preflight: name, level, message, value, required, fix."""
     COMMAND = "command"

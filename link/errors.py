@@ -12,6 +12,7 @@ LinkError
 ├── TlogError                  a telemetry log cannot be read or written
 ├── GateClosed                 control traffic from a station that is not in control
 ├── FlightRequestError         a flight that must not start as asked; lists every reason (also ValueError)
+├── VehicleError               a vehicle outside any flight that does not answer, or must not be touched now
 ├── SupervisorError            the streamer process could not be started or reached
 └── ReportError                a log that does not hold a flight of the plan (also ValueError)
 
@@ -91,6 +92,10 @@ class FlightRequestError(LinkError, ValueError):
     def __init__(self, problems: Sequence[InputFault]) -> None:
         self.problems = tuple(problems)
         super().__init__("\n  ".join(["the flight cannot start as asked:", *(str(fault) for fault in problems)]))
+
+
+class VehicleError(LinkError):
+    """A vehicle, outside any flight, does not answer, or must not be changed now; says why and what to do."""
 
 
 class SupervisorError(LinkError):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.airspeed import air_of
 from planner.arrays import Indices
 from planner.coverage.elevation_mask import ElevationMask
 from planner.coverage.window import Stations, held_s, leaves_s
@@ -79,8 +80,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     if limits.max_descent_m_s is not None:
         worst["descent_m_s"] = float(-velocity[..., 2].min() - limits.max_descent_m_s)
     if limits.max_airspeed_m_s is not None:
-        air = velocity - np.array([*limits.wind_m_s, 0.0])
-        worst["airspeed_m_s"] = float(np.linalg.norm(air, axis=-1).max() - limits.max_airspeed_m_s)
+        flown, wind, allowed = air_of(problem, points, velocity)
+        worst["airspeed_m_s"] = float((np.linalg.norm(flown - wind, axis=-1) - allowed).max())
     if limits.max_duration_s is not None:
         worst["duration_s"] = trajectory.duration_s - limits.max_duration_s
     if problem.max_handovers is not None:

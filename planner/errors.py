@@ -34,6 +34,9 @@ class Infeasibility:
     problem (none, one or two). ``gap_m`` is how much range is missing between the two stations, or between
     the station and the point. ``position_m`` is where. ``remedies`` each cure everything: the smallest of its kind
     first, others of different kinds after it; there may be none.
+
+    ``causes`` are all that is wrong on the best route, in flight order, each with the remedy that mends it alone; empty
+    where there is but this one. ``masked``: stations whose elevation masks alone stand in the way.
     """
 
     reason: str
@@ -42,6 +45,8 @@ class Infeasibility:
     gap_m: float | None = None
     position_m: Point | None = None
     remedies: tuple[Remedy, ...] = ()
+    causes: tuple[Infeasibility, ...] = ()
+    masked: tuple[int, ...] = ()
 
     @property
     def limit(self) -> str | None:

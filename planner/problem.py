@@ -6,6 +6,7 @@ Whoever makes a `Problem` has laid the earth out flat and taken margins off; her
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +15,10 @@ from planner.errors import ProblemError
 
 # What stands in `Problem.min_elevation_deg` for a station without that limit (see `planner.coverage.elevation_mask`).
 UNMASKED_DEG = -90.0
+# Least time given up for fewer handovers where any may be.
+HANDOVER_TOLERANCE_S = 1.0
+# What a wider overlap may cost: a part of the mission time, and seconds at least.
+OVERLAP_PRICE, OVERLAP_PRICE_S = 0.001, 1.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,14 @@ class Limits:
             raise ProblemError(f"wind_m_s must be two finite numbers (east, north), not {self.wind_m_s}")
 
 
+class WindField(Protocol):
+    """A wind that is not the same everywhere."""
+
+    def at(self, points_m: Array) -> Array:
+        """``(..., 2)``: where the air goes to, east and north, at points ``(..., 3)`` of the plane."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A planning problem in the plane: metres (east, north, altitude), seconds.
@@ -60,10 +73,15 @@ class Problem:
     a vehicle that keeps the limit on the real earth. ``min_overlap_s``: around each handover both stations
     cover the vehicle at least half of it before and half after; ``min_tenure_s``: least time a station is in
     control where there is more than one. All three zero and no optional limit: the paper's (P1).
+    ``handover_tolerance``: part of the fastest plan's time, and at least `HANDOVER_TOLERANCE_S`, given up for fewer
+    handovers; 0 asks for the fastest plan. ``overlap_after_target_s``: how long after a handover the station it is
+    handed over from is to cover the vehicle still, where that costs no more than `price_s`.
 
     ``min_elevation_deg`` ``(M,)`` or None: lowest elevation angle at which a station hears the vehicle, from 0 to
     below 90; `UNMASKED_DEG` for a station without that limit (angles between would make the range bulge inwards).
     ``start_velocity_m_s``, ``start_acceleration_m_s2`` ``(3,)``: state at T+0, at rest unless replanning.
+
+    ``wind``: the wind from place to place, where ``limits.wind_m_s`` is only what it is like on the whole.
 
     Raises `ProblemError` for shapes that do not fit and numbers that are not finite.
     """
@@ -76,9 +94,12 @@ class Problem:
     min_overlap_s: float = 0.0
     min_tenure_s: float = 0.0
     max_handovers: int | None = None
+    handover_tolerance: float = 0.0
+    overlap_after_target_s: float = 0.0
     bound_ranges_m: Array | None = None
     bound_speed_factor: float = 1.0
     min_elevation_deg: Array | None = None
+    wind: WindField | None = None
     start_velocity_m_s: Array = field(default_factory=lambda: np.zeros(3))
     start_acceleration_m_s2: Array = field(default_factory=lambda: np.zeros(3))
 
@@ -105,7 +126,7 @@ class Problem:
                 raise ProblemError(f"{name} must be finite and of shape {shape}, not {array.shape}")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-        for name in ("min_overlap_s", "min_tenure_s"):
+        for name in ("min_overlap_s", "min_tenure_s", "handover_tolerance", "overlap_after_target_s"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ProblemError(f"{name} must be finite and not negative, not {getattr(self, name)}")
         if self.max_handovers is not None and self.max_handovers < 0:
@@ -131,6 +152,17 @@ class Problem:
     def handovers_cost_time(self) -> bool:
         """Whether a handover takes time, which sequences then differ by: a least overlap or a least tenure is asked."""
         return self.min_overlap_s > 0.0 or self.min_tenure_s > 0.0
+
+    def slowest_s(self, fastest_s: float) -> float:
+        """How long a flight with fewer handovers than the fastest, which takes ``fastest_s``, may take."""
+        if self.handover_tolerance == 0.0:
+            return fastest_s
+        return fastest_s + max(self.handover_tolerance * fastest_s, HANDOVER_TOLERANCE_S)
+
+    @staticmethod
+    def price_s(mission_time_s: float) -> float:
+        """The most that reaching ``overlap_after_target_s`` may cost, for each handover that it is reached at."""
+        return max(OVERLAP_PRICE * mission_time_s, OVERLAP_PRICE_S)
 
     @property
     def starts_at_rest(self) -> bool:

@@ -26,6 +26,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--list-faults", action="store_true")
     made.add_argument("--seed", type=int, default=0)
     made.add_argument("--system-id", type=int, default=1)
+    made.add_argument("--uid", default="", metavar="HEX", help="the board's unique id; none: it tells none")
     made.add_argument("--ready-after", type=float, default=2.0, metavar="S", help="vehicle seconds to a position")
     made.add_argument("--max-speed", type=float, metavar="M_S", help="top speed in level flight; sets the drag")
     made.add_argument("--tilt", type=float, metavar="DEG", help="largest lean, instead of the parameter's")
@@ -75,6 +76,7 @@ def main(arguments: list[str] | None = None) -> int:
             home=(home[0], home[1], home[2]) if home else None,
             links=len(addresses),
             system_id=options.system_id,
+            uid=options.uid,
             speedup=options.speedup,
             parameters=tuple(options.param),
             faults=tuple(options.fault),

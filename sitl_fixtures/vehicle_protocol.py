@@ -89,6 +89,8 @@ class VehicleProtocol(Protocol):
     estimator: Estimator
     battery: Battery
     random: Random
+    uid: bytes
+    """The board's unique id, 18 bytes; zeros: it tells none."""
     time_s: float
     ready: bool
     gps_ok: bool

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Generator
+import tempfile
+import uuid
+from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from tests.support.processes import postgresql
+from tests.support.processes.store_backends import Backend
 
 settings.register_profile(
     "skyrelay",
@@ -16,6 +22,9 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("skyrelay")
+
+# What flights note for whoever comes next stays in the run, and processes of the run find it.
+os.environ.setdefault("SKYRELAY_STATE_DIR", tempfile.mkdtemp(prefix="skyrelay-state-"))
 
 REQUIRE_ALL = os.environ.get("REQUIRE_ALL") == "1"
 
@@ -40,3 +49,23 @@ def pytest_runtest_makereport(
     if REQUIRE_ALL and report.skipped and not hasattr(report, "wasxfail"):
         report.outcome = "failed"
         report.longrepr = f"{item.nodeid} was skipped, but REQUIRE_ALL=1: {report.longrepr}"
+
+
+@pytest.fixture(scope="session")
+def postgresql_server() -> Iterator[postgresql.PostgreSql]:
+    """A PostgreSQL server, started once for the tests of this process; a skip where there is none."""
+    if postgresql.programs() is None:
+        pytest.skip(postgresql.MISSING)
+    with postgresql.running() as server:
+        yield server
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Backend]:
+    """A new, empty database; each test that asks for one runs on both kinds."""
+    if request.param == "sqlite":
+        yield Backend("sqlite", f"sqlite:///{tmp_path / 'skyrelay.db'}")
+        return
+    server: postgresql.PostgreSql = request.getfixturevalue("postgresql_server")
+    with server.database(f"t{uuid.uuid4().hex}") as url:
+        yield Backend("postgresql", url)

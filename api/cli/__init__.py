@@ -16,7 +16,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from api.cli.bench import command as bench_command
-from api.cli.commands import flight, fly, handovers, plan, report, serve, setpoints, simulate
+from api.cli.commands import backup, flight, fly, handovers, plan, report, serve, setpoints, simulate, vehicle
 from api.cli.demo import command as demo_command
 from api.cli.doctor import machine as doctor_command
 from api.cli.errors import (
@@ -72,8 +72,10 @@ for _panel, _module in (
     ("Fly", flight),
     ("Fly", simulate),
     ("Fly", report),
+    ("Fly", vehicle),
     ("Run", demo_command),
     ("Run", serve),
+    ("Run", backup),
     ("Check", bench_command),
     ("Check", doctor_command),
 ):

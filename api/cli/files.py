@@ -70,8 +70,10 @@ def write_chunks(chunks: Iterable[bytes], name: str | None) -> None:
     try:
         with os.fdopen(handle, "wb") as file:
             _fill(file, chunks, name)
+        from gcs.exports import umask
+
         # mkstemp makes files private; a result gets the mode any new file would, or keeps the one it replaces.
-        os.chmod(temporary, target.stat().st_mode & 0o7777 if target.exists() else 0o666 & ~_umask())
+        os.chmod(temporary, target.stat().st_mode & 0o7777 if target.exists() else 0o666 & ~umask())
         os.replace(temporary, target)
     except BaseException:
         with contextlib.suppress(OSError):
@@ -98,12 +100,6 @@ def _cannot_write(name: str, error: OSError) -> BadInputError:
         "the output cannot be written there",
         {"where": name, "what": error.strerror or str(error), "fix": "name a file in a directory you can write to"},
     )
-
-
-def _umask() -> int:
-    value = os.umask(0o077)
-    os.umask(value)
-    return value
 
 
 def write_text(text: str, name: str | None) -> None:

@@ -76,9 +76,13 @@ def plan(name: str) -> Plan:
 
 def infeasible(error: MissionInfeasible) -> InfeasibleError:
     """The domain's finding as the command line says it: why, where, by how much, and the smallest fix."""
+    told = [f"{cause['message']}\n{cause['fix_text']}".strip() for cause in error.causes]
+    several = {"causes": "\n".join(f"{k}. {text}".replace("\n", "\n   ") for k, text in enumerate(told, start=1))}
+    head, listed, _ = error.message.partition(", in flight order: (1) ")
     return InfeasibleError(
-        error.message,
+        head if listed and told else error.message,
         {
+            **(several if told else {}),
             "reason": error.reason,
             "stations": ", ".join(error.stations),
             "where": place(error.where),

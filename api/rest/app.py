@@ -8,7 +8,8 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 
 from api.rest import problems
-from api.rest.middleware import BodyLimit, OriginGuard, RequestLog
+from api.rest.guards import HostGuard, OriginGuard
+from api.rest.middleware import BodyLimit, HeadAnswers, RequestLog
 from api.rest.openapi import describe
 from api.rest.routes import flights, health, missions, page, plans, registries
 from api.service import Metrics, Services
@@ -33,13 +34,17 @@ def create_app(settings: Settings) -> FastAPI:
         openapi_url=None,  # served by `health`, with problem documents described on every operation
         docs_url=None,  # FastAPI's own pages load scripts from elsewhere
         redoc_url=None,
+        strict_content_type=False,  # `bodies` judges it, for every route alike
     )
-    for routes in (missions, plans, registries, flights, health, page):
-        app.include_router(routes.router)
-    problems.install(app)
+    routers = [module.router for module in (missions, plans, registries, flights, health, page)]
+    for router in routers:
+        app.include_router(router)
+    problems.install(app, [route for router in routers for route in router.routes])
     describe(app)
     # The last one added is the outermost.
-    app.add_middleware(BodyLimit, limit_bytes=settings.max_document_bytes)
+    app.add_middleware(BodyLimit, limit_bytes=settings.max_body_bytes, mission_bytes=settings.max_document_bytes)
+    app.add_middleware(HeadAnswers)
     app.add_middleware(OriginGuard)
+    app.add_middleware(HostGuard, names=settings.allowed_hosts)
     app.add_middleware(RequestLog, observe=metrics.observe_request)
     return app

@@ -1,30 +1,30 @@
-"""What every request passes: an id and a log line, the guard against other sites, the limit on bodies.
+"""What every request passes: an id and a log line, HEAD, the limit on bodies.
 
-Plain ASGI, so that streamed answers stay streamed. Order from outside in: `RequestLog`, `OriginGuard`, `BodyLimit`.
+Plain ASGI, so that streamed answers stay streamed. Order from outside in: `RequestLog`, `api.rest.guards`,
+`HeadAnswers`, `BodyLimit`.
 """
 
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import re
 import time
 import uuid
-from collections.abc import Callable, Iterable
-from urllib.parse import urlsplit
+from collections.abc import Callable
 
 import structlog
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.rest import problems
 from api.rest.problems import BodyTooLargeError
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
-_READING = {"GET", "HEAD", "OPTIONS"}
 # A body past the limit is read to its end (up to these) and thrown away, so that the client hears the answer
 # instead of a reset connection.
 _DRAIN_FACTOR = 40
 _DRAIN_S = 10.0
+_MISSIONS = re.compile(r"/v1/missions(/[^/]+/versions)?")
 
 log = structlog.get_logger("api.http")
 
@@ -77,6 +77,8 @@ class RequestLog:
             # The service ends, and its patience with this request is over.
             ending = problems.problem_details(503, "the service is ending", kind="unavailable", title="Not available")
             await problems.response(ending, {"connection": "close"})(scope, receive, send_marked)
+        except ClientDisconnect:
+            log.info("the client went away", method=scope["method"], path=scope["path"])
         except Exception:
             log.exception("fault", method=scope["method"], path=scope["path"])
             if status:
@@ -90,67 +92,54 @@ class RequestLog:
             level("request", method=scope["method"], path=scope["path"], status=status, ms=round(seconds * 1e3, 1))
 
 
-class OriginGuard:
-    """Refuses writes and sockets a foreign web page makes a browser send, and names that only look like ours.
+class HeadAnswers:
+    """Answers HEAD as GET without its body, wherever GET is answered; a stream is left as soon as its head is known."""
 
-    A program sends no ``Origin``; a browser always does on a write, and it must be this service's own. ``Host`` must
-    be an address or a known name, which defeats DNS rebinding: a foreign name pointed at the loopback address.
-    """
-
-    def __init__(self, app: ASGIApp, hosts: Iterable[str] = ()) -> None:
+    def __init__(self, app: ASGIApp) -> None:
         self.app = app
-        self.hosts = {"localhost", *(h.lower() for h in hosts)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one connection."""
-        if scope["type"] not in ("http", "websocket"):
+        if scope["type"] != "http" or scope["method"] != "HEAD":
             await self.app(scope, receive, send)
             return
-        complaint = self.complaint(scope)
-        if complaint is None:
-            await self.app(scope, receive, send)
-        elif scope["type"] == "websocket":
-            await receive()
-            await send({"type": "websocket.close", "code": 1008, "reason": complaint})
-        else:
-            body = problems.problem_details(403, complaint, kind="cross-site", title="Refused")
-            await problems.response(body)(scope, receive, send)
+        asked: Scope = {**scope, "method": "GET"}
+        known = asyncio.Event()
+        head: list[Message] = []
 
-    def complaint(self, scope: Scope) -> str | None:
-        """Why the connection is refused, or None."""
-        host = header(scope, b"host") or ""
-        if not self.known(host):
-            return f"the service is not known as {host!r}; use its address, or list the name in the allowed hosts"
-        if scope["type"] == "http" and scope["method"] in _READING:
-            return None
-        origin = header(scope, b"origin")
-        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-            return f"writes from pages of {origin!r} are refused"
-        if header(scope, b"sec-fetch-site") in ("cross-site", "same-site"):
-            return "writes from pages of other sites are refused"
-        return None
+        async def keep(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                head.append(message)
+            elif head:
+                known.set()
 
-    def known(self, host: str) -> bool:
-        """Whether ``Host`` names an address or a name of ours."""
+        getting = asyncio.ensure_future(self.app(asked, receive, keep))
+        waiting = asyncio.ensure_future(known.wait())
         try:
-            name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:
-            return False
-        if name in self.hosts:
-            return True
-        try:
-            ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return True
+            await asyncio.wait({getting, waiting}, return_when=asyncio.FIRST_COMPLETED)
+            if getting.done():
+                getting.result()
+        finally:
+            waiting.cancel()
+            getting.cancel()
+            await asyncio.gather(getting, waiting, return_exceptions=True)
+            if "route" in asked:
+                scope["route"] = asked["route"]
+        if head:
+            await send(head[0])
+            await send({"type": "http.response.body", "body": b""})
 
 
 class BodyLimit:
-    """Counts a body while it is read and stops at the limit: with or without ``Content-Length``, nothing is kept."""
+    """Counts a body while it is read and stops at the limit: with or without ``Content-Length``, nothing is kept.
 
-    def __init__(self, app: ASGIApp, limit_bytes: int) -> None:
+    ``mission_bytes`` is the limit where missions are sent, ``limit_bytes`` everywhere else.
+    """
+
+    def __init__(self, app: ASGIApp, limit_bytes: int, mission_bytes: int) -> None:
         self.app = app
         self.limit_bytes = limit_bytes
+        self.mission_bytes = mission_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one connection."""
@@ -158,10 +147,18 @@ class BodyLimit:
             await self.app(scope, receive, send)
             return
         declared = header(scope, b"content-length") or ""
+        if declared and header(scope, b"transfer-encoding"):
+            # Whoever stands between may believe the other one, and take what follows for a request of its own.
+            body = problems.problem_details(
+                400, "a request has either Content-Length or Transfer-Encoding", kind="bad-framing"
+            )
+            await problems.response(body, {"connection": "close"})(scope, receive, send)
+            return
+        limit = self.mission_bytes if _MISSIONS.fullmatch(scope["path"]) else self.limit_bytes
         declared_bytes = int(declared) if declared.isdecimal() else 0
-        if declared_bytes > self.limit_bytes and header(scope, b"expect"):
+        if declared_bytes > limit and header(scope, b"expect"):
             # The client waits for our word before it sends anything.
-            await self.refuse(scope, receive, send)
+            await self.refuse(limit, scope, receive, send)
             return
         read = 0
 
@@ -170,17 +167,17 @@ class BodyLimit:
             message = await receive()
             if message["type"] == "http.request":
                 read += len(message.get("body", b""))
-                if read > self.limit_bytes:
+                if read > limit:
                     await self.drain(receive, message)
-                    raise BodyTooLargeError(self.limit_bytes)
+                    raise BodyTooLargeError(limit)
             return message
 
         await self.app(scope, limited, send)
 
-    async def refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def refuse(self, limit: int, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer 413 without reading."""
-        detail = f"the body is larger than {self.limit_bytes} bytes"
-        entry = problems.fault("body", detail, allowed=f"at most {self.limit_bytes} bytes", fix="send less")
+        detail = f"the body is larger than {limit} bytes"
+        entry = problems.fault("body", detail, allowed=f"at most {limit} bytes", fix="send less")
         body = problems.problem_details(413, "the body is too large", kind="too-large", errors=[entry])
         await problems.response(body, {"connection": "close"})(scope, receive, send)
 
@@ -189,7 +186,7 @@ class BodyLimit:
         thrown = 0
         try:
             async with asyncio.timeout(_DRAIN_S):
-                while message.get("more_body") and thrown < _DRAIN_FACTOR * self.limit_bytes:
+                while message.get("more_body") and thrown < _DRAIN_FACTOR * self.mission_bytes:
                     message = await receive()
                     thrown += len(message.get("body", b""))
         except TimeoutError:

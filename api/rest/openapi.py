@@ -31,6 +31,7 @@ _ERRORS: dict[str, tuple[str, type[BaseModel], Any]] = {
     "404": ("Nothing of that id.", schemas.ProblemDetails, None),
     "409": ("Not possible in the present state.", schemas.ProblemDetails, None),
     "413": ("The body is too large.", schemas.ProblemDetails, None),
+    "415": ("The body is not JSON, or does not say so.", schemas.ProblemDetails, None),
     "422": ("Bad input: where, what, what is allowed, what to do.", schemas.ProblemDetails, schemas.BAD_INPUT_EXAMPLE),
     "500": ("A fault of the service.", schemas.ProblemDetails, None),
     "503": ("The store cannot be used just now, or the service is not ready.", schemas.ProblemDetails, None),
@@ -78,7 +79,7 @@ def _add_errors(path: str, operation: dict[str, Any]) -> None:
     takes_anything = takes_body or has_id or operation.get("parameters")
     answers = operation.setdefault("responses", {})
     for status, (text, model, example) in _ERRORS.items():
-        if (status == "404" and not (has_id or takes_body)) or (status == "413" and not takes_body):
+        if (status == "404" and not (has_id or takes_body)) or (status in ("413", "415") and not takes_body):
             continue
         if (status == "422" and not takes_anything) or (status == "409" and not (has_id or takes_body)):
             continue

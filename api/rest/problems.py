@@ -3,6 +3,7 @@
 ApiError
 ├── NotFoundError           404
 ├── ConflictError           409   not possible in the present state; may carry reason, place, gap_m, fix
+├── UnsupportedMediaError   415   the body is not JSON, or does not say so
 ├── UnprocessableError      422   the request makes no sense: ``errors`` says where, what, allowed, fix
 ├── ForbiddenError          403   a write from another site
 ├── UnavailableError        503   a part this needs is not there
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import http
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import structlog
@@ -24,6 +25,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Match
 
 PROBLEM_TYPE = "application/problem+json"
 _URN = "urn:skyrelay:problem:"
@@ -70,6 +72,14 @@ class ConflictError(ApiError):
     title = "Not possible in the present state"
 
 
+class UnsupportedMediaError(ApiError):
+    """The body is not JSON, or does not say so."""
+
+    status = 415
+    kind = "unsupported-media"
+    title = "The body is not JSON"
+
+
 class UnprocessableError(ApiError):
     """The request is understood and makes no sense."""
 
@@ -110,7 +120,7 @@ def fault(
     fix: str | None = None,
 ) -> dict[str, Any]:
     """One entry of ``errors``; the value shortened and made JSON-safe, since it came from outside."""
-    entry: dict[str, Any] = {"where": where, "what": what}
+    entry: dict[str, Any] = {"where": _whole(where), "what": _whole(what)}
     if value is not None:
         entry["value"] = _safe(value)
     if allowed:
@@ -126,8 +136,13 @@ def _safe(value: Any) -> Any:
     if isinstance(value, float) and math.isfinite(value):
         return value
     text = value if isinstance(value, str) else repr(value)
-    text = text.encode("utf-8", "replace").decode("utf-8")
+    text = _whole(text)
     return text if len(text) <= _VALUE_LIMIT else text[: _VALUE_LIMIT - 3] + "..."
+
+
+def _whole(text: str) -> str:
+    """The text with half characters, which no answer can hold, replaced."""
+    return text.encode("utf-8", "replace").decode("utf-8")
 
 
 def domain_faults(faults: Iterable[Any]) -> list[dict[str, Any]]:
@@ -149,7 +164,7 @@ def problem_details(
         "type": _URN + kind,
         "title": title or http.HTTPStatus(status).phrase,
         "status": status,
-        "detail": detail,
+        "detail": _whole(detail),
     }
     request_id = structlog.contextvars.get_contextvars().get("request_id")
     if request_id is not None:
@@ -177,8 +192,8 @@ _STATUS_KINDS = {
 }
 
 
-def install(app: FastAPI) -> None:
-    """Make ``app`` answer every error as a problem document."""
+def install(app: FastAPI, routes: Sequence[BaseRoute]) -> None:
+    """Make ``app``, whose routes these are, answer every error as a problem document."""
 
     async def on_api_error(_request: Request, error: Exception) -> Response:
         assert isinstance(error, ApiError)
@@ -208,7 +223,10 @@ def install(app: FastAPI) -> None:
             entries = [fault("body", error.detail, allowed=f"at most {error.limit_bytes} bytes", fix="send less")]
         elif error.status_code in (404, 405):
             detail = f"{said}: {request.method} {request.url.path}"
-        return response(problem_details(error.status_code, detail, kind=kind, errors=entries), error.headers)
+        headers = dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(_allowed_methods(request, routes))
+        return response(problem_details(error.status_code, detail, kind=kind, errors=entries), headers)
 
     async def on_invalid(_request: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
@@ -219,6 +237,15 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(ApiError, on_api_error)
     app.add_exception_handler(HTTPException, on_http)
     app.add_exception_handler(RequestValidationError, on_invalid)
+
+
+def _allowed_methods(request: Request, routes: Sequence[BaseRoute]) -> list[str]:
+    """What the address of a request takes, over all its routes; HEAD goes wherever GET does."""
+    found: set[str] = set()
+    for route in routes:
+        if route.matches(request.scope)[0] is not Match.NONE:
+            found |= set(getattr(route, "methods", None) or ())
+    return sorted(found | {"HEAD"} if "GET" in found else found)
 
 
 def _of_pydantic(error: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from api.service.logs import configure_logging
 from api.service.metrics import Metrics
 from api.service.replanning import Proposal, Replanning
 from api.service.services import Services
+from api.service.vehicles import restore_vehicle
 
 __all__ = [
     "Changes",
@@ -34,4 +35,5 @@ __all__ = [
     "StillStoppingError",
     "configure_logging",
     "outer_state",
+    "restore_vehicle",
 ]

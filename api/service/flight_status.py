@@ -34,6 +34,7 @@ class FlightStatus:
     station: str | None = None
     t_plus_s: float | None = None
     utc: str | None = None
+    ended_utc: str | None = None
     result: dict[str, Any] | None = None
     reason: str = ""
     plan_sha256: str | None = None
@@ -44,6 +45,8 @@ class FlightStatus:
         data = dict(event.data)
         self.state, self.sequence = event.state, event.sequence
         self.t_plus_s, self.utc = event.t_plus_s, event.utc
+        if event.state.ended:
+            self.ended_utc = self.ended_utc or event.utc
         match event.kind:
             case EventKind.STATE:
                 self.reason = str(data.get("reason") or "")
@@ -83,7 +86,8 @@ class FlightStatus:
         here = self.position
         upcoming = [h for h in self.schedule if self.t_plus_s is not None and h["t_plus_s"] > self.t_plus_s]
         following = None
-        if upcoming and not self.state.ended and self.t_plus_s is not None:
+        # Standing, or off the plan, no time can be given for it.
+        if upcoming and self.state is FlightState.CRUISE and self.t_plus_s is not None:
             following = {**upcoming[0], "in_s": upcoming[0]["t_plus_s"] - self.t_plus_s}
         placed = here.get("lat_deg") is not None
         return {
@@ -102,6 +106,7 @@ class FlightStatus:
             "margin_m": here.get("margin_m"),
             "battery_percent": here.get("battery_percent"),
             "links": here.get("links"),
+            "lapse": here.get("lapse") if self.state is FlightState.LAPSED else None,
             "next_handover": following,
             "handovers": upcoming,
             "shift_s": self.shift_s,

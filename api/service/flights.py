@@ -18,8 +18,10 @@ from typing import Any
 import structlog
 
 from api.service.changes import Changes
+from api.service.flight_journal import QueuedJournal
 from api.service.flight_status import FlightStatus
-from gcs.errors import ConflictError, NotFoundError, StoreError
+from api.service.vehicles import Restorer
+from gcs.errors import ConflictError, InputFault, NotFoundError, StoreError
 from gcs.exports import write_atomic
 from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError
 from gcs.plan import Plan
@@ -27,39 +29,29 @@ from gcs.settings import Settings
 from gcs.store import FlightRecord, Store
 from gcs.timestamps import utc_now_text
 from link.director import PREFLIGHT_VALID_S
-from link.errors import LinkError, SupervisorError
+from link.errors import FlightRequestError, LinkError, SupervisorError
 from link.session import FlightRequest
-from link.streamer import RunningFlight, attach, start_flight
+from link.streamer import RunningFlight, attach, epitaph, events_of, start_flight
+from link.transport import is_local
 
 log = structlog.get_logger("api.flights")
 
-# Where the vehicle is comes once a second; the history keeps one so often (wall seconds).
-_KEEP_PROGRESS_S = 5.0
+# How long the end of the service waits for vehicles to be given back what was changed; a streamer goes on without it.
+_RESTORATION_S = 60.0
+_SETTLE_S = 2.0
 _PROPOSALS_KEPT = 20
-
-
-class _Journal:
-    """The store's journal, with the stream of positions thinned."""
-
-    def __init__(self, store: Store, flight_id: str) -> None:
-        self._journal = store.flights.journal(flight_id)
-        self._kept_s = -float("inf")
-
-    def append(self, event: FlightEvent) -> None:
-        """Keep ``event`` (`gcs.flight.Journal`)."""
-        if event.kind is EventKind.PROGRESS:
-            now_s = time.monotonic()
-            if now_s - self._kept_s < _KEEP_PROGRESS_S:
-                return
-            self._kept_s = now_s
-        self._journal.append(event)
 
 
 @dataclass
 class _Watched:
-    """A flight whose streamer runs, as far as known. ``flight`` is None until it is connected."""
+    """A flight whose streamer runs, as far as known. ``flight`` is None until it is connected.
+
+    ``record`` is the store's of its beginning: what does not change is known without the store.
+    """
 
     status: FlightStatus
+    record: FlightRecord
+    journal: QueuedJournal
     flight: RunningFlight | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -67,11 +59,13 @@ class _Watched:
 class FlightService:
     """All flights of a service."""
 
-    def __init__(self, settings: Settings, store: Store, changes: Changes) -> None:
+    def __init__(self, settings: Settings, store: Store, changes: Changes, owner: str | None = None) -> None:
         self._settings = settings
         self._store = store
         self._changes = changes
+        self._owner = owner
         self._watched: dict[str, _Watched] = {}
+        self.restorer = Restorer(settings.data_dir)
 
     # -- starting -----------------------------------------------------------------------------------------------------
 
@@ -84,44 +78,63 @@ class FlightService:
         `link.errors.FlightRequestError` and `SupervisorError`.
         """
         vehicle = self._store.registry.get("vehicle", vehicle_id).document
-        links = self._links(plan, vehicle)
+        links, security = self._links(plan, vehicle)
         asked = {"plan": plan.to_document(), "autopilot": vehicle["autopilot"], "links": links, "auto_launch": False}
-        request = FlightRequest.from_document({**asked, **options})
+        request = FlightRequest.from_document({**asked, **options, **security})
+        for other in [one for one in list(self._watched.values()) if one.record.vehicle_id == vehicle_id]:
+            other.journal.wait(_SETTLE_S)  # that its last flight has ended must be in the store
         record = self._store.flights.add(
             mission_id=mission_id,
             version=version,
             plan_sha256=plan.plan_sha256,
             vehicle_id=vehicle_id,
+            owner=self._owner,
             document={"autopilot": vehicle["autopilot"], "links": links, "options": dict(options)},
         )
         folder = self._folder(record.id)
         document = {**record.document, "run_dir": str(folder)}
         record = self._store.flights.update(record.id, document)
-        watched = self._watched[record.id] = _Watched(FlightStatus())
+        watched = self._watched[record.id] = _Watched(FlightStatus(), record, QueuedJournal(self._store, record.id))
         try:
             sent = replace(request, flight_id=record.id, log_path=str(folder / "flight.tlog"))
-            watched.flight = start_flight(
-                sent, _Journal(self._store, record.id), self._listener(record.id, watched), run_dir=folder
-            )
+            watched.flight = start_flight(sent, watched.journal, self._listener(record.id, watched), run_dir=folder)
         except (LinkError, OSError) as error:
             del self._watched[record.id]
             self._end_unstarted(record.id, str(error))
             raise
         return self._store.flights.get(record.id)
 
-    def _links(self, plan: Plan, vehicle: Mapping[str, Any]) -> dict[str, str]:
-        """A URL for each station of the plan, by the vehicle's link names.
+    def _links(self, plan: Plan, vehicle: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
+        """A URL for each station of the plan, by the vehicle's link names, and how those links are signed.
 
         And for those in reserve, which have an id in the mission and a link of their own.
         """
         names: dict[str, str] = vehicle["links"]
-        links = {}
+        entries: dict[str, dict[str, Any]] = {}
         reserve = [s.id for s in plan.mission.stations if s.system_id is not None and s.id in names]
         for station in dict.fromkeys([*plan.station_ids, *reserve]):
             name = names.get(station, names.get("*"))
             if name is not None:
-                links[station] = str(self._store.registry.get("link", name).document["url"])
-        return links
+                entries[station] = self._store.registry.get("link", name).document
+        return {station: str(entry["url"]) for station, entry in entries.items()}, self._security(entries)
+
+    def _security(self, entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        """The fields of a request by what the link entries say: one vehicle, one key.
+
+        Raises `link.errors.FlightRequestError` where they name two.
+        """
+        keys = {entry["signing_key"]: station for station, entry in entries.items() if entry.get("signing_key")}
+        if len(keys) > 1:
+            where = ", ".join(keys.values())
+            what, fix = "the links name different signing keys", "a vehicle has one key: name the same in all its links"
+            raise FlightRequestError([InputFault("links", what, where, "one key", fix)])
+        if keys:
+            state = self._settings.data_dir / "signing"
+            state.mkdir(mode=0o700, parents=True, exist_ok=True)
+            return {"signing_key": next(iter(keys)), "signing_state": str(state)}
+        away = [entry for entry in entries.values() if not is_local(str(entry["url"]))]
+        # What an entry does not allow, the streamer refuses and says why.
+        return {"allow_unsigned": bool(away) and all(entry.get("allow_unsigned") for entry in away)}
 
     def _folder(self, flight_id: str) -> Path:
         """Where a flight's streamer keeps its things."""
@@ -141,26 +154,53 @@ class FlightService:
             with watched.lock:
                 watched.status.apply(event)
             self._changes.tell(flight_id)
+            if event.data.get("what") == "streamer died":
+                self.restorer.start()
+            if event.kind is EventKind.IDENTITY:
+                # Not here: the store may be slow, and the streamer's answers come on this thread.
+                identity = str(event.data["identity"])
+                threading.Thread(target=self._claim, args=(flight_id, watched, identity), daemon=True).start()
 
         return on_event
+
+    def _claim(self, flight_id: str, watched: _Watched, identity: str) -> None:
+        """Note which vehicle it is; end a flight of a vehicle that is on another. At launch it is asked for again."""
+        try:
+            self._store.flights.claim(flight_id, identity)
+        except ConflictError as error:
+            log.error("two flights of one vehicle", flight=flight_id, error=str(error))
+            with contextlib.suppress(TransitionError, SupervisorError):
+                if watched.flight is not None:
+                    watched.flight.command(OperatorCommand.ABORT, by="service", reason=str(error))
+        except (StoreError, NotFoundError) as error:
+            log.warning("the vehicle of a flight is not noted yet", flight=flight_id, error=str(error))
 
     # -- finding again ------------------------------------------------------------------------------------------------
 
     def reattach(self) -> None:
         """Connect to the streamers of flights that had not ended when the service last did."""
         for record in self._store.flights.page(limit=1000, active=True):
+            if not self._ours(record):
+                continue
             try:
                 self._reattach(record)
             except StoreError as error:
                 log.warning("flight not found again", flight=record.id, error=str(error))
+        self.restorer.start()
+
+    def _ours(self, record: FlightRecord) -> bool:
+        """Whether a flight is this service's to find again, and to end where its streamer is gone."""
+        if record.owner is not None:
+            return record.owner == self._owner
+        return self._settings.database_url is None or Path(record.document.get("run_dir") or "/nonexistent").is_dir()
 
     def _reattach(self, record: FlightRecord) -> None:
         folder = Path(record.document.get("run_dir") or "/nonexistent")
         status = self._status_of(record.id)
-        watched = _Watched(status)
-        journal, listener = _Journal(self._store, record.id), self._listener(record.id, watched)
+        watched = _Watched(status, record, QueuedJournal(self._store, record.id))
+        listener = self._listener(record.id, watched)
         try:
-            watched.flight = attach(folder, journal, listener, after=status.sequence)
+            watched.flight = attach(folder, watched.journal, listener, after=status.sequence)
         except SupervisorError:
             self._catch_up(record, folder, status)
             return
@@ -170,36 +210,52 @@ class FlightService:
     def _catch_up(self, record: FlightRecord, folder: Path, status: FlightStatus) -> None:
         """No streamer runs any more: take over what it wrote meanwhile, and say how it ended."""
         journal = self._store.flights
-        with contextlib.suppress(OSError, ValueError, KeyError):
-            for line in (folder / "events.jsonl").read_bytes().splitlines():
-                event = FlightEvent.from_document(json.loads(line))
-                if event.sequence > status.sequence:
-                    journal.append(record.id, event)
-                    status.apply(event)
+        for event in events_of(folder):
+            if event.sequence > status.sequence:
+                journal.append(record.id, event)
+                status.apply(event)
         if status.state.ended:
             return
-        state = FlightState.LOST if status.state.airborne else FlightState.REFUSED
-        now = utc_now_text()
+        airborne = status.state.airborne or status.state is FlightState.ARMING
+        state = FlightState.LOST if airborne else FlightState.REFUSED
         data = {"what": "the streamer died while the service was away", "from": status.state.value}
-        event = FlightEvent(status.sequence + 1, EventKind.ALARM, 0.0, status.t_plus_s, now, state, data)
+        kind, data = EventKind.ALARM, data | epitaph(folder, airborne=airborne)
+        with contextlib.suppress(OSError, ValueError, KeyError):
+            # How it ended is written once, and says more than events that a full disk may have swallowed.
+            result = json.loads((folder / "result.json").read_bytes())
+            state, kind, data = FlightState(result["state"]), EventKind.RESULT, {"outcome": result["state"], **result}
+        event = FlightEvent(status.sequence + 1, kind, 0.0, status.t_plus_s, utc_now_text(), state, data)
         journal.append(record.id, event)
-        log.error("flight lost its streamer", flight=record.id, state=state.value)
+        log.error("flight found ended", flight=record.id, state=state.value)
 
     def close(self) -> None:
-        """Let go of flights in the air, which go on as far as authorised; end those that never left the ground."""
+        """Let go of flights in the air, which go on as far as authorised; end those that never left the ground.
+
+        Vehicles get back what was changed; what takes longer the streamer finishes alone, or the next service.
+        """
+        self.restorer.stop()
+        deadline = time.monotonic() + _RESTORATION_S
+        waiting = []
         for flight_id, watched in list(self._watched.items()):
-            flight = watched.flight
+            flight, state = watched.flight, watched.status.state
             if flight is None or flight.result is not None:
                 continue
-            if watched.status.state.airborne or watched.status.state is FlightState.ARMING:
+            if state.airborne or state is FlightState.ARMING:
                 log.warning("the flight goes on without the service", flight=flight_id, streamer=flight.pid)
                 flight.detach()
-            else:
-                with contextlib.suppress(TransitionError, SupervisorError, TimeoutError):
+                continue
+            if not state.ended:
+                with contextlib.suppress(TransitionError, SupervisorError):
                     flight.command(OperatorCommand.ABORT, by="service", reason="the service ends")
-                    flight.wait(3.0)
-                if flight.result is None:
-                    flight.kill()
+            waiting.append((flight_id, flight))
+        for flight_id, flight in waiting:
+            with contextlib.suppress(SupervisorError, TimeoutError):
+                flight.wait(max(0.0, deadline - time.monotonic()))
+            if flight.result is None:
+                log.warning("the vehicle is still given back what was changed", flight=flight_id, streamer=flight.pid)
+                flight.detach()
+        for watched in self._watched.values():
+            watched.journal.wait(max(0.0, min(5.0, deadline - time.monotonic())))
         self._watched.clear()
 
     # -- commanding ---------------------------------------------------------------------------------------------------
@@ -229,8 +285,11 @@ class FlightService:
         if age_s >= PREFLIGHT_VALID_S:
             raise ConflictError(
                 f"the preflight is {age_s:.0f} s old, allowed is under {PREFLIGHT_VALID_S:.0f} s; "
-                "abort this flight and make another"
+                "have it made again (preflight)"
             )
+        identity = status.get("vehicle_identity")
+        if identity is not None:
+            self._store.flights.claim(flight_id, str(identity))
         flight.command(OperatorCommand.LAUNCH, by=by, plan_sha256=plan_sha256)
 
     def replan(self, flight_id: str, document: Mapping[str, Any], **fields: Any) -> None:
@@ -284,9 +343,26 @@ class FlightService:
     def _running(self, flight_id: str) -> RunningFlight:
         watched = self._watched.get(flight_id)
         if watched is None or watched.flight is None or watched.flight.result is not None:
-            record = self._store.flights.get(flight_id)
-            raise ConflictError(f"flight {flight_id} is {record.state.value} and takes no commands any more")
+            state = self._store.flights.get(flight_id).state if watched is None else watched.status.state
+            raise ConflictError(f"flight {flight_id} is {state.value} and takes no commands any more")
         return watched.flight
+
+    def record(self, flight_id: str) -> FlightRecord:
+        """A flight's record: of one that runs here without asking the store, its state by its events.
+
+        Raises `NotFoundError`, `StoreUnavailable`.
+        """
+        watched = self._watched.get(flight_id)
+        if watched is None:
+            return self._store.flights.get(flight_id)
+        status, kept = watched.status, watched.record
+        ended_utc = status.ended_utc or kept.ended_utc
+        return replace(kept, state=status.state, changed_utc=status.utc or kept.changed_utc, ended_utc=ended_utc)
+
+    def settle(self, flight_id: str) -> None:
+        """Let what a flight's history still has on its way reach the store, for a moment at most."""
+        if (watched := self._watched.get(flight_id)) is not None:
+            watched.journal.wait(_SETTLE_S)
 
     # -- looking ------------------------------------------------------------------------------------------------------
 

@@ -10,6 +10,8 @@ from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+import anyio
+
 from api.service.changes import Changes
 from api.service.flights import FlightService
 from api.service.metrics import Metrics
@@ -18,7 +20,7 @@ from gcs.errors import StoreUnavailable
 from gcs.jobs import PlanningPool
 from gcs.plan import Plan, read_plan
 from gcs.settings import Settings
-from gcs.store import MissionRecord, Store
+from gcs.store import DataOwner, MissionRecord, Store
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
@@ -46,14 +48,6 @@ class Cache(Generic[K, V]):
         return value
 
 
-@dataclass(frozen=True)
-class PlanFacts:
-    """What a list of missions shows of a plan."""
-
-    mission_time_s: float
-    handover_count: int
-
-
 @dataclass
 class Services:
     """The parts of a running service."""
@@ -65,8 +59,8 @@ class Services:
     changes: Changes
     flights: FlightService
     replanning: Replanning
+    probes: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(2))
     plans: Cache[str, Plan] = field(default_factory=lambda: Cache(16))
-    facts: Cache[str, PlanFacts] = field(default_factory=lambda: Cache(10_000))
 
     @classmethod
     @contextlib.contextmanager
@@ -81,14 +75,17 @@ class Services:
             if record.status in ("planned", "infeasible", "failed"):
                 metrics.observe_planning(record.status, record.created_utc, record.changed_utc)
 
-        with Store(settings.url, lock_timeout_s=settings.lock_timeout_s) as store:
+        with (
+            contextlib.closing(DataOwner(settings.data_dir)) as owner,
+            Store(settings.url, lock_timeout_s=settings.lock_timeout_s) as store,
+        ):
             pool = PlanningPool(
                 store,
                 processes=settings.planner_processes,
                 limit_s=settings.planning_limit_s,
                 on_change=on_change,
             )
-            flights = FlightService(settings, store, changes)
+            flights = FlightService(settings, store, changes, owner.name)
             services = cls(settings, metrics, store, pool, changes, flights, Replanning(flights, pool))
             metrics.watch_counts("skyrelay_missions", "Mission versions by status", services.mission_counts)
             metrics.watch_counts("skyrelay_planners", "Planning processes by state", pool.stats)
@@ -116,14 +113,3 @@ class Services:
             return read_plan(self.store.missions.plan(record.id, record.version))
 
         return self.plans.get(record.plan_sha256, load)
-
-    def facts_of(self, record: MissionRecord) -> PlanFacts | None:
-        """What lists show of a version's plan; None while it has none."""
-        if record.status != "planned" or record.plan_sha256 is None:
-            return None
-
-        def load() -> PlanFacts:
-            document = self.store.missions.plan(record.id, record.version) or {}
-            return PlanFacts(float(document["mission_time_s"]), len(document["handovers"]))
-
-        return self.facts.get(record.plan_sha256, load)

@@ -20,7 +20,7 @@ const EXAMPLE = {
 };
 
 // States by the name the field has for them, where ours is shorter.
-const STATE_TEXTS = { lapsed: "lost C2 link", contingency: "contingency procedure" };
+const STATE_TEXTS = { lapsed: "lost C2 link", contingency: "contingency procedure", landed: "landed by command" };
 const stateText = (state) => STATE_TEXTS[state] ?? state;
 
 let older = [];
@@ -151,7 +151,7 @@ function live(state) {
   if (state.station) parts.push(`${state.station} in control`);
   if (state.speed_m_s !== undefined && state.speed_m_s !== null) parts.push(`${state.speed_m_s.toFixed(1)} m/s`);
   $("flight-now").textContent = parts.join(" · ");
-  $("flight-now").className = `status ${state.outcome === "completed" ? "good" : state.outcome ? "bad" : "wait"}`;
+  $("flight-now").className = `status ${["completed", "landed"].includes(state.outcome) ? "good" : state.outcome ? "bad" : "wait"}`;
   // Spoken by screen readers: only what matters, not every second.
   const said = `${stateText(state.outcome || state.state)}${state.station ? `, ${state.station} in control` : ""}`;
   if ($("flight-say").textContent !== said) $("flight-say").textContent = said;

@@ -10,6 +10,7 @@ import csv
 import io
 import json
 import os
+import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -75,11 +76,20 @@ def export_handovers(plan: Plan, kind: str, *, station: str | None = None, launc
     return makers[kind](plan, station=station, launch=launch)
 
 
+_LEAP_SECOND = re.compile(r"(\d{4}-\d\d-\d\d[Tt ]\d\d:\d9):60(\.\d+)?(Z|z|[+-]\d\d:?\d\d)")
+
+
 def parse_launch(text: str) -> datetime:
-    """A launch time, RFC 3339 with ``Z`` or an offset, as UTC. Raises `ExportError`."""
+    """A launch time, RFC 3339 with ``Z`` or an offset, as UTC. Raises `ExportError`.
+
+    A leap second is the second after it: clocks of computers have none.
+    """
+    leap = _LEAP_SECOND.fullmatch(text)
     try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
+        moment = datetime.fromisoformat(f"{leap[1]}:59{leap[2] or ''}{leap[3]}" if leap else text)
+        if leap:
+            moment += timedelta(seconds=1)
+    except (ValueError, OverflowError):
         moment = None
     if moment is None or moment.tzinfo is None:
         raise ExportError(f"launch time {text!r} is not RFC 3339 with a time zone, such as 2026-11-22T09:00:00Z")
@@ -91,7 +101,8 @@ def utc_at(launch: datetime | None, time_s: float) -> str | None:
     if launch is None:
         return None
     try:
-        moment = launch.astimezone(UTC) + timedelta(seconds=time_s)
+        # Half a millisecond more, cut off: rounded.
+        moment = launch.astimezone(UTC) + timedelta(seconds=time_s, microseconds=500)
     except OverflowError:
         raise ExportError(f"launch time {launch} is out of range") from None
     return utc_text(moment, "milliseconds")
@@ -229,6 +240,15 @@ def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
+def umask() -> int:
+    """This process's mask of file modes, asked for without changing it: other threads are making files meanwhile."""
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+        return int(status.split("\nUmask:")[1].split()[0], 8)
+    except (OSError, IndexError, ValueError):
+        return 0o077  # cannot be asked for any other way: files for this user alone
+
+
 def write_atomic(path: str | Path, data: str | bytes) -> None:
     """Write a file whole or not at all: a temporary file beside it, synced, then renamed over it.
 
@@ -243,9 +263,7 @@ def write_atomic(path: str | Path, data: str | bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         # mkstemp makes files nobody else may read; a plan is no secret.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
+        os.chmod(name, 0o666 & ~umask())
         os.replace(name, target)
     except BaseException:
         Path(name).unlink(missing_ok=True)

@@ -25,14 +25,20 @@ def summary(plan: Plan) -> str:
     """Time against the bound, way, stations, what is left of every limit, how it was made, notes."""
     mission, bound = plan.mission, plan.lower_bound_s
     over = 100.0 * (plan.mission_time_s / bound - 1.0) if bound > 0 else 0.0
+    against = f"{over:.1f} % over {bound:.1f} s, which no flight can beat"
+    if bound <= 0:
+        against = "start and destination are one place: there is no way to fly"
     options = mission.options
     lines = [
         mission.name,
-        f"  mission time  {clock(plan.mission_time_s)} ({plan.mission_time_s:.1f} s), "
-        f"{over:.1f} % over {bound:.1f} s, which no flight can beat",
+        f"  mission time  {clock(plan.mission_time_s)} ({plan.mission_time_s:.1f} s), {against}",
         f"  way           {plan.path_length_m / 1000.0:.2f} km",
         f"  stations      {' > '.join(plan.station_ids)}  ({len(plan.handovers)} handovers)",
     ]
+    if plan.fastest is not None:
+        fewer, later_s = plan.fastest.handovers - len(plan.handovers), plan.fastest.fewer_cost_s
+        cost = f"for {later_s:.1f} s more" if later_s >= 0.05 else "for nothing"
+        lines.append(f"  handovers     {fewer} fewer than in the fastest plan found, {cost}")
     if plan.handovers:
         shortest = min(plan.handovers, key=lambda h: h.overlap_end_s - h.overlap_start_s)
         least = min(plan.handovers, key=lambda h: min(h.margin_from_m, h.margin_to_m))
@@ -48,7 +54,8 @@ def summary(plan: Plan) -> str:
     lines += [
         f"  limits left   {', '.join(left)}" if plan.certificate.feasible else "  NOT PROVEN: a limit is broken",
         f"  asked for     overlap {options.min_overlap_s:g} s, range margin {options.range_margin_m:g} m, "
-        f"time in control {options.min_tenure_s:g} s",
+        f"time in control {options.min_tenure_s:g} s, "
+        f"{'fewest handovers' if options.handover_tolerance else 'least time'}",
         f"  planned       in {plan.solve_time_s:.2f} s by {plan.method}",
         f"  plan          {plan.plan_sha256}",
     ]

@@ -11,7 +11,7 @@ from gcs.geodesy.plane import Plane
 from gcs.geodesy.range_bounds import bound_speed_factor, height_factor
 from gcs.layout.findings import NoAirspeed, NoRangeLeft
 from gcs.layout.mission_geometry import MissionGeometry, choose_plane
-from gcs.mission.model import Mission
+from gcs.mission.model import Mission, overlap_after_target_s
 from planner import Limits, Problem, ProblemError
 from planner.arrays import Array, Indices
 
@@ -45,7 +45,7 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> PlanningProblem:
     mask = geometry.planning_mask(stations)
     start, destination = geometry.enu_m([mission.start, mission.destination])
     velocity, acceleration = _start_state(geometry, start)
-    airspeed_m_s = _airspeed_m_s(geometry, stations, bound, k)
+    airspeed_m_s = _airspeed_m_s(geometry, np.stack([start, destination]), k)
     try:
         problem = Problem(
             start_m=start,
@@ -56,15 +56,31 @@ def lay_out(mission: Mission, plane: Plane | None = None) -> PlanningProblem:
             min_overlap_s=options.min_overlap_s,
             min_tenure_s=options.min_tenure_s,
             max_handovers=options.max_handovers,
+            handover_tolerance=options.handover_tolerance,
+            overlap_after_target_s=_after_target_s(mission),
             bound_ranges_m=None if geometry.is_local else bound,
             bound_speed_factor=1.0 if geometry.is_local else k * bound_speed_factor(farthest, limits.min_alt_amsl_m),
             min_elevation_deg=mask.lowest_deg if mask.limited.any() else None,
+            wind=wind_of(geometry),
             start_velocity_m_s=velocity,
             start_acceleration_m_s2=acceleration,
         )
     except ProblemError as error:
         raise PlanningFailed(f"the mission passed the door but makes no problem: {error}") from error
     return PlanningProblem(geometry, problem, stations)
+
+
+def _after_target_s(mission: Mission) -> float:
+    """The target of `overlap_after_target_s` in the ranges planned with: the margin taken off them comes on top."""
+    target_s = overlap_after_target_s(mission.options, mission.limits)
+    if any(station.min_elevation_deg is not None for station in mission.stations):
+        return target_s
+    return max(0.0, target_s - mission.options.range_margin_m / mission.limits.max_speed_m_s)
+
+
+def in_a_hurry(problem: Problem) -> Problem:
+    """As `without_endurance`, and the fastest plan whatever its handovers."""
+    return replace(without_endurance(problem), handover_tolerance=0.0, overlap_after_target_s=0.0)
 
 
 def without_endurance(problem: Problem) -> Problem:
@@ -102,30 +118,57 @@ def _start_state(geometry: MissionGeometry, start_m: Array) -> tuple[Array, Arra
     return velocity, acceleration
 
 
-def _airspeed_m_s(geometry: MissionGeometry, stations: Indices, reach_m: Array, k: float) -> float | None:
-    """The airspeed limit in the plane; None where there is none. Raises `NoAirspeed`."""
+@dataclass(frozen=True)
+class TurnedWind:
+    """A wind that is the same everywhere along true axes, along those of a plane, which turn from place to place."""
+
+    plane: Plane
+    wind_m_s: tuple[float, float]
+
+    def at(self, points_m: Array) -> Array:
+        """``(..., 2)``: the wind at plane points ``(..., 3)``."""
+        axes = self.plane.true_axes(points_m[..., 0], points_m[..., 1])
+        wind = np.broadcast_to(np.array(self.wind_m_s)[:, None], (*axes.shape[:-1], 1))
+        return np.asarray(np.linalg.solve(axes, wind)[..., 0])
+
+
+def wind_of(geometry: MissionGeometry) -> TurnedWind | None:
+    """The wind as a field of the plane; None where there is none, or the plane is the world."""
     limits = geometry.mission.limits
-    airspeed, turn = limits.max_airspeed_m_s, 0.0
-    if airspeed is None:
+    if geometry.is_local or limits.max_airspeed_m_s is None or not any(limits.wind_m_s or ()):
         return None
-    if not geometry.is_local:
-        turn = _wind_turn_m_s(geometry, stations, reach_m)
-        airspeed = (airspeed - turn) / k
-    wind = float(np.hypot(*(limits.wind_m_s or (0.0, 0.0))))
+    assert limits.wind_m_s is not None
+    return TurnedWind(geometry.plane, limits.wind_m_s)
+
+
+def _airspeed_m_s(geometry: MissionGeometry, ends_m: Array, k: float) -> float | None:
+    """The airspeed limit in the plane; None where there is none. Raises `NoAirspeed`.
+
+    At altitude the plane shows ways up to ``k`` times too short, and a wind that much too strong. That the wind turns
+    is dealt with piece by piece (`planner.airspeed`).
+    """
+    limits = geometry.mission.limits
+    if limits.max_airspeed_m_s is None:
+        return None
+    field, blown = wind_of(geometry), float(np.hypot(*(limits.wind_m_s or (0.0, 0.0))))
+    wind = blown if field is None else float(np.linalg.norm(field.at(ends_m), axis=-1).max())
+    airspeed = (limits.max_airspeed_m_s - 2.0 * (k - 1.0) * blown) / k
     if airspeed <= wind:
-        raise NoAirspeed(geometry.mission, wind * k + turn)
+        raise NoAirspeed(geometry.mission, wind * k + 2.0 * (k - 1.0) * blown)
     return airspeed
 
 
-def _wind_turn_m_s(geometry: MissionGeometry, stations: Indices, reach_m: Array) -> float:
-    """How far the wind, constant along true axes, can differ from the same wind along the plane's, within all ranges.
+def wind_turn_m_s(laid: PlanningProblem) -> float:
+    """How far the wind along true axes can differ from the same wind along the plane's, within all ranges.
 
-    The axes turn with the distance from the origin; the largest difference on rings of ``reach_m`` ``(M',)`` around the
-    stations, a twentieth more for what lies between the samples.
+    The axes turn with the distance from the origin; the largest difference on rings around the stations, a twentieth
+    more for what lies between the samples.
     """
-    wind = np.array(geometry.mission.limits.wind_m_s or (0.0, 0.0))
+    field = wind_of(laid.geometry)
+    if field is None:
+        return 0.0
+    reach = laid.problem.ranges_m if laid.problem.bound_ranges_m is None else laid.problem.bound_ranges_m
     angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    at = geometry.stations_enu_m[stations, None, :2] + reach_m[:, None, None] * ring
-    axes = geometry.plane.true_axes(at[..., 0], at[..., 1])
-    return float(1.05 * np.linalg.norm(axes @ wind - wind, axis=-1).max())
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+    at = laid.problem.station_positions_m[:, None, :] + reach[:, None, None] * ring
+    return float(1.05 * np.linalg.norm(field.at(at) - np.array(field.wind_m_s), axis=-1).max())

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import difflib
 import math
+import unicodedata
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from gcs.document_reader import MAX_DOCUMENT_BYTES, FaultList, Reader, parse_json, type_name
 from gcs.errors import InputFault, MissionError
-from gcs.mission.consistency import MAX_SPAN_M, check_ids, check_span, check_system_ids
+from gcs.mission.consistency import MAX_SPAN_M, check_ids, check_span, check_system_ids, same_system_ids
 from gcs.mission.model import (
     MAX_STATIONS,
     GeoPosition,
@@ -27,6 +28,7 @@ from gcs.mission.model import (
     StartState,
     Station,
 )
+from gcs.mission.plausibility import check_masts
 from gcs.mission.system_ids import HIGHEST_SYSTEM_ID, LOWEST_SYSTEM_ID
 from gcs.mission.writing import write_mission
 
@@ -94,9 +96,11 @@ def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Missi
     name = root.text("name", 200) or "Unnamed mission"
     start = _position(root.child("start", (*GEO_FIELDS, *LOCAL_FIELDS)), local)
     destination = _position(root.child("destination", (*GEO_FIELDS, *LOCAL_FIELDS)), local)
+    items = root.items("stations", max_stations, required=True)
+    numbered = not same_system_ids([i.get("system_id") if isinstance(i, Mapping) else None for i in items], faults)
     stations = [
-        _station(Reader(item, f"stations[{i}]", faults, _STATION_KEYS), local)
-        for i, item in enumerate(root.items("stations", max_stations, required=True))
+        _station(Reader(item, f"stations[{i}]", faults, _STATION_KEYS), local, numbered=numbered)
+        for i, item in enumerate(items)
     ]
     if isinstance(root.data.get("stations"), list | tuple) and not root.data["stations"]:
         root.fault("stations", "is empty", "at least one station", "add the stations that are to guard the flight")
@@ -115,11 +119,28 @@ def read_mission(document: object, *, max_stations: int = MAX_STATIONS) -> Missi
     if stations and all(s.id in excluded for s in stations):
         what, fix = "leaves no station", "leave at least one of them in"
         faults.add("options.excluded_stations", what, list(options.excluded_stations), "not every station", fix)
+    far: frozenset[int] = frozenset()
     if not local and not faults:
-        check_span(start, destination, stations, safe_points, faults)
+        far = check_span(start, destination, stations, safe_points, faults)
+    check_masts([(s.id, s.position) for s in stations], origin, faults)
+    left_out = tuple(stations[i].id for i in sorted(far))
+    if far:
+        gone = frozenset(left_out)
+        stations = [station for i, station in enumerate(stations) if i not in far]
+        kept = tuple(station for station in options.excluded_stations if station not in gone)
+        options = replace(options, excluded_stations=kept)
     if faults:
         raise MissionError(faults)
-    return Mission(start, destination, tuple(stations), limits, name, tuple(safe_points), options, origin)
+    return Mission(
+        start, destination, tuple(stations), limits, name, tuple(safe_points), options, origin, left_out=left_out
+    )
+
+
+def station_faults(document: object) -> list[InputFault]:
+    """What is wrong with one station on its own, its place in latitude and longitude; by the rules of a mission."""
+    faults = FaultList()
+    _station(Reader(document, "", faults, frozenset((*STATION_FIELDS, *GEO_FIELDS))), local=False)
+    return faults
 
 
 def with_options(mission: Mission, changes: Mapping[str, object]) -> Mission:
@@ -127,7 +148,19 @@ def with_options(mission: Mission, changes: Mapping[str, object]) -> Mission:
     document = write_mission(mission)
     options = document["options"]
     assert isinstance(options, dict)
-    return read_mission({**document, "options": {**options, **changes}}, max_stations=len(mission.stations))
+    if "min_overlap_s" in changes:
+        # Defaults follow the overlap.
+        overlap_s = mission.options.min_overlap_s
+        for name, default in (("handover_tolerance", _tolerance(overlap_s)), ("overlap_target_s", _target(overlap_s))):
+            if options[name] == default:
+                del options[name]
+    changed = read_mission({**document, "options": {**options, **changes}}, max_stations=len(mission.stations))
+    return replace(changed, left_out=mission.left_out)
+
+
+def _tolerance(min_overlap_s: float) -> float:
+    """The default of ``handover_tolerance``: where a handover asks for nothing it costs nothing."""
+    return MissionOptions().handover_tolerance if min_overlap_s > 0.0 else 0.0
 
 
 def _refuse_strangers(document: object) -> None:
@@ -139,8 +172,10 @@ def _refuse_strangers(document: object) -> None:
             "mission", "is a plan, not a mission", None, "a mission", "give what stands in its field mission"
         )
         raise MissionError([fault])
-    if document.get("type") in ("FeatureCollection", "Feature") or document.get("fileType") == "Plan":
+    old = "MAV_AUTOPILOT" in document or "plannedHomePosition" in document
+    if document.get("type") in ("FeatureCollection", "Feature") or document.get("fileType") == "Plan" or old:
         what = "is GeoJSON" if "type" in document else "is a QGroundControl plan"
+        what = "is a mission file of an old QGroundControl" if old and "fileType" not in document else what
         fix = "write it as a mission: start, destination, stations, limits"
         raise MissionError([InputFault("mission", f"{what}, not a mission", None, "a mission", fix)])
 
@@ -177,14 +212,15 @@ def _position(reader: Reader, local: bool) -> Position:
     )
 
 
-def _station(reader: Reader, local: bool) -> Station:
+def _station(reader: Reader, local: bool, *, numbered: bool = True) -> Station:
     identifier = reader.identifier("id")
+    given = reader.integer("system_id", LOWEST_SYSTEM_ID, HIGHEST_SYSTEM_ID, default=None) if numbered else None
     return Station(
         id=identifier,
         position=_position(reader, local),
         range_m=reader.number("range_m", 0.0, MAX_RANGE_M, "m", above_low=True),
         name=reader.text("name", 200) or identifier,
-        system_id=reader.integer("system_id", LOWEST_SYSTEM_ID, HIGHEST_SYSTEM_ID, default=None),
+        system_id=given,
         contact=reader.text("contact", 200),
         radio_channel=reader.text("radio_channel", 200),
         hours=reader.text("hours", 200),
@@ -242,6 +278,8 @@ def _options(reader: Reader, station_ids: list[str]) -> MissionOptions:
     excluded: list[str] = []
     known = frozenset(station_ids)
     for i, item in enumerate(reader.items("excluded_stations", MAX_STATIONS)):
+        if isinstance(item, str):
+            item = unicodedata.normalize("NFC", item)
         if not isinstance(item, str) or item not in known:
             # Looking for what was meant takes a second on the largest maps.
             close = difflib.get_close_matches(str(item), station_ids, n=1) if len(reader.faults) < MAX_GUESSES else []
@@ -250,18 +288,37 @@ def _options(reader: Reader, station_ids: list[str]) -> MissionOptions:
             reader.faults.add(where, "is no station of this mission", item, "ids of stations", fix)
         else:
             excluded.append(item)
+    overlap_s = reader.number("min_overlap_s", 0.0, 3_600.0, "s", default=default.min_overlap_s)
     return MissionOptions(
-        min_overlap_s=reader.number("min_overlap_s", 0.0, 3_600.0, "s", default=default.min_overlap_s),
+        min_overlap_s=overlap_s,
         range_margin_m=reader.number("range_margin_m", 0.0, MAX_RANGE_M, "m", default=default.range_margin_m),
         min_tenure_s=reader.number("min_tenure_s", 0.0, 86_400.0, "s", default=default.min_tenure_s),
         vehicle_system_id=default.vehicle_system_id if vehicle is None else vehicle,
         on_arrival=reader.choice("on_arrival", ("land", "hold"), default.on_arrival),
         excluded_stations=tuple(dict.fromkeys(excluded)),
         max_handovers=reader.integer("max_handovers", 0, MAX_STATIONS, default=None),
+        handover_tolerance=reader.number(
+            "handover_tolerance", 0.0, 1.0, "(part of the mission time)", default=_tolerance(overlap_s)
+        ),
+        overlap_target_s=_overlap_target(reader, overlap_s),
         objective=_objective(reader),
         start_state=_start_state(reader) if reader.has("start_state") else None,
         arrival_s=reader.optional_number("arrival_s", 0.0, MAX_TIME_S, "s", above_low=True),
     )
+
+
+def _overlap_target(reader: Reader, min_overlap_s: float) -> str | float:
+    value = reader.data.get("overlap_target_s")
+    if value is None:
+        return _target(min_overlap_s)
+    if isinstance(value, str):
+        return reader.choice("overlap_target_s", ("auto",), "auto")
+    return reader.number("overlap_target_s", 0.0, 3_600.0, "s")
+
+
+def _target(min_overlap_s: float) -> str | float:
+    """The default of ``overlap_target_s``."""
+    return MissionOptions().overlap_target_s if min_overlap_s > 0.0 else 0.0
 
 
 def _objective(reader: Reader) -> str | float:

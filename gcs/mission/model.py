@@ -105,8 +105,11 @@ class MissionOptions:
 
     Around every handover both stations cover the vehicle ``min_overlap_s``, half of it before and half after;
     ``range_margin_m`` is taken off every range; a station is in control at least ``min_tenure_s`` where there is more
-    than one. ``objective`` is ``"time"``, ``"energy"`` or the weight of energy between 0 and 1; ``arrival_s`` the
-    mission time wished for.
+    than one. ``handover_tolerance`` is the part of the fastest plan's time, and at least a second, given up for fewer
+    handovers: 0 asks for the fastest plan, and is the default where ``min_overlap_s`` is 0. ``objective`` is
+    ``"time"``, ``"energy"`` or the weight of energy between 0 and 1; ``arrival_s`` the mission time wished for.
+    ``overlap_target_s`` is the overlap aimed at where it costs little, what it has over ``min_overlap_s`` after the
+    handover; ``"auto"`` is what it takes to notice a failed station and to stop, nothing where no tolerance is given.
     """
 
     min_overlap_s: float = 5.0
@@ -116,6 +119,8 @@ class MissionOptions:
     on_arrival: str = "land"
     excluded_stations: tuple[str, ...] = ()
     max_handovers: int | None = None
+    handover_tolerance: float = 0.001
+    overlap_target_s: str | float = "auto"
     objective: str | float = "time"
     start_state: StartState | None = None
     arrival_s: float | None = None
@@ -129,9 +134,31 @@ class MissionOptions:
         return {"time": 0.0, "energy": 1.0}[self.objective] if isinstance(self.objective, str) else self.objective
 
 
+# Until a handover is confirmed and, should the new station fail at once, the old one has taken over again: answers
+# there and back, and the part of the autopilot's time-out (3 s at most by default) after which a station has failed.
+ANSWERS_S, NOTICED_S = 0.3, 0.6 * 3.0
+# A stop takes a little longer where the path bends.
+BEND_S = 0.5
+
+
+def overlap_after_target_s(options: MissionOptions, limits: MissionLimits) -> float:
+    """How long after a handover the old station is to cover the vehicle, where that costs little; 0: not aimed at.
+
+    By default what it takes to notice that the new one failed and to stop, v / 2a of the path at full speed.
+    """
+    if isinstance(options.overlap_target_s, str):
+        if options.handover_tolerance == 0.0:
+            return 0.0
+        return ANSWERS_S + NOTICED_S + limits.max_speed_m_s / (2.0 * limits.max_accel_m_s2) + BEND_S
+    return max(0.0, options.overlap_target_s - 0.5 * options.min_overlap_s)
+
+
 @dataclass(frozen=True)
 class Mission:
-    """Start, destination, stations, limits and options. ``origin`` is given in a local mission, None otherwise."""
+    """Start, destination, stations, limits and options. ``origin`` is given in a local mission, None otherwise.
+
+    ``left_out`` are ids of stations of the document that are too far from the start to matter, and not among these.
+    """
 
     start: Position
     destination: Position
@@ -141,6 +168,7 @@ class Mission:
     safe_points: tuple[SafePoint, ...] = ()
     options: MissionOptions = field(default_factory=MissionOptions)
     origin: GeoPosition | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def frame(self) -> str:
@@ -161,3 +189,11 @@ class Mission:
         )
         stations = tuple(replace(s, system_id=i) for s, i in zip(self.stations, assigned, strict=True))
         return replace(self, stations=stations)
+
+
+def amsl_m(mission: Mission, position: Position) -> float:
+    """A position's altitude above mean sea level, in whichever frame it is."""
+    if isinstance(position, GeoPosition):
+        return position.alt_amsl_m
+    assert mission.origin is not None
+    return mission.origin.alt_amsl_m + position.up_m

@@ -8,6 +8,8 @@ from gcs.errors import InputFault, MissionError
 
 # MAVLink system ids run from 1 to 255; 255 is what ground-station programs come with, and 0 is everybody.
 LOWEST_SYSTEM_ID, HIGHEST_SYSTEM_ID = 1, 254
+# All but the vehicle's own.
+MOST_STATIONS = HIGHEST_SYSTEM_ID - LOWEST_SYSTEM_ID
 FIRST_DEFAULT_SYSTEM_ID = 241
 
 
@@ -40,7 +42,7 @@ def assign_system_ids(given: Sequence[int | None], used: Sequence[int], vehicle_
                 for index, system_id in zip(missing, free, strict=False):
                     result[index] = system_id
                 return result
-    room = HIGHEST_SYSTEM_ID - LOWEST_SYSTEM_ID
+    room = MOST_STATIONS
     if len(used) > room:
         what = f"{len(used)} are flown, and system ids tell no more than {room} apart"
         fix = "lower max_handovers, or fly it as several missions"

@@ -13,7 +13,7 @@ from gcs.geodesy.plane import Plane
 from gcs.mission.document import read_mission
 from gcs.plan.contingency import Contingency
 from gcs.plan.handover_schedule import Handover
-from gcs.plan.model import PROJECTION, OptionCost, Plan, hash_of
+from gcs.plan.model import PROJECTION, Fastest, OptionCost, Plan, hash_of
 from planner import Certificate, ProblemError, Trajectory
 
 MAX_SEGMENTS = 100_000
@@ -38,8 +38,8 @@ _FIELDS = (
     "contingencies",
     "certificate",
 )
-# There when they were asked for.
-_OPTIONAL_FIELDS = ("costs",)
+# There when they were asked for, or when there is something to say.
+_OPTIONAL_FIELDS = ("costs", "fastest")
 
 
 def read_plan(document: object) -> Plan:
@@ -90,6 +90,7 @@ def read_plan(document: object) -> Plan:
         iterations=planner.integer("iterations", 0, 10**9, default=0) or 0,
         notes=tuple(str(note) for note in notes),
         costs=_read_costs(root, faults),
+        fastest=_read_fastest(root) if root.has("fastest") else None,
     )
     _raise_first(faults)
     _check_agreement(plan, document)
@@ -215,6 +216,13 @@ def _read_costs(root: Reader, faults: FaultList) -> tuple[OptionCost, ...]:
         cost_s = at.optional_number("cost_s", -_BIG, _BIG, "s")
         result.append(OptionCost(str(at.data.get("option")), str(at.data.get("value")), cost_s))
     return tuple(result)
+
+
+def _read_fastest(root: Reader) -> Fastest:
+    at = root.child("fastest", ("mission_time_s", "handovers", "fewer_cost_s"))
+    time_s = at.number("mission_time_s", 0.0, _BIG, "s")
+    handovers = at.integer("handovers", 0, MAX_SEGMENTS, default=0) or 0
+    return Fastest(time_s, handovers, at.number("fewer_cost_s", -_BIG, _BIG, "s"))
 
 
 def _is_number(value: object) -> bool:

@@ -41,12 +41,22 @@ class OptionCost:
     cost_s: float | None
 
 
+@dataclass(frozen=True)
+class Fastest:
+    """The fastest plan found, where the one made has fewer handovers: its time, its handovers, what fewer cost."""
+
+    mission_time_s: float
+    handovers: int
+    fewer_cost_s: float
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A certified plan.
 
     ``trajectory`` has station indices of ``mission.stations`` and lives in ``plane``. ``method`` and ``notes`` say
-    how it came about; ``planner_version`` is the version of this product. ``costs`` are there when asked for.
+    how it came about; ``planner_version`` is the version of this product. ``costs`` are there when asked for,
+    ``fastest`` where handovers were saved.
     """
 
     mission: Mission
@@ -64,6 +74,7 @@ class Plan:
     iterations: int = 0
     notes: tuple[str, ...] = field(default=())
     costs: tuple[OptionCost, ...] = ()
+    fastest: Fastest | None = None
 
     @property
     def mission_time_s(self) -> float:
@@ -134,6 +145,7 @@ class Plan:
             "handovers": [handover.to_document() for handover in self.handovers],
             "contingencies": [contingency.to_document() for contingency in self.contingencies],
             "certificate": {"feasible": self.certificate.feasible, "worst": dict(self.certificate.worst)},
+            **({"fastest": asdict(self.fastest)} if self.fastest else {}),
             **({"costs": [asdict(cost) for cost in self.costs]} if self.costs else {}),
         }
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcs.errors import Finding, PlanningFailed
-from gcs.layout.planning_problem import PlanningProblem, lay_out
+from gcs.layout.planning_problem import PlanningProblem, lay_out, wind_turn_m_s
 from gcs.plan.model import Plan
 from planner import Certificate, Solution, Trajectory, certify
 from planner.coverage import ElevationMask
@@ -69,8 +69,8 @@ def true_lower_bound_s(laid: PlanningProblem, solution: Solution) -> float:
         return solution.lower_bound_s
     wider = problem.limits
     if limits.max_airspeed_m_s is not None and wider.max_airspeed_m_s is not None:
-        taken_off = limits.max_airspeed_m_s - wider.max_airspeed_m_s
-        wider = replace(wider, max_airspeed_m_s=(limits.max_airspeed_m_s + taken_off) * problem.bound_speed_factor)
+        widest = limits.max_airspeed_m_s + wind_turn_m_s(laid)
+        wider = replace(wider, max_airspeed_m_s=widest * problem.bound_speed_factor)
     # What truly is above e shows in the plane above e less 0.1 degree (deflection of the vertical, stretch).
     lowest_deg = laid.geometry.elevation_mask.lowest_deg[laid.stations].tolist()
     mask = ElevationMask.of_each(angle - 0.1 if angle > 0.1 else None for angle in lowest_deg)

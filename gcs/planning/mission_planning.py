@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
@@ -17,15 +17,18 @@ from gcs.errors import Finding, PlanningFailed
 from gcs.geodesy.plane import Plane
 from gcs.layout.planning_problem import lay_out
 from gcs.layout.problem_planner import PlannerLike, ProblemPlanner
-from gcs.mission.model import Mission
+from gcs.mission.model import Mission, overlap_after_target_s
+from gcs.mission.plausibility import doubts
+from gcs.mission.system_ids import MOST_STATIONS
 from gcs.plan.contingency import contingencies
-from gcs.plan.handover_schedule import schedule
-from gcs.plan.model import Plan
+from gcs.plan.handover_schedule import Handover, schedule
+from gcs.plan.model import Fastest, Plan
 from gcs.planning.certification import certify_true, true_lower_bound_s
 from gcs.planning.solve import solve
 from gcs.remedies.explanation import explain
+from gcs.remedies.findings import TooManyStations
 from gcs.timestamps import utc_text
-from planner import Method, Planner, Trajectory
+from planner import Method, Planner, Problem, Solution, Trajectory
 
 Progress = Callable[[str, float], None]
 
@@ -78,10 +81,23 @@ def plan_mission(
         plane=plane,
     )
     try:
-        return find_plan(mission, how)
+        try:
+            return find_plan(mission, how)
+        except TooManyStations as crowd:
+            return _with_fewer_stations(crowd, how)
     except Finding as finding:
         # The one place where it is asked what would help; nothing below looks for it.
         raise explain(finding, how.planner) from finding
+
+
+def _with_fewer_stations(crowd: TooManyStations, how: PlanningMethod) -> Plan:
+    """A slower plan with as many stations as there are system ids. Raises ``crowd`` where there is none."""
+    options = replace(crowd.mission.options, max_handovers=crowd.most - 1)
+    note = f"max_handovers {crowd.most - 1}: system ids tell no more than {crowd.most} stations apart"
+    try:
+        return find_plan(replace(crowd.mission, options=options), replace(how, notes=(*how.notes, note)))
+    except Finding:
+        raise crowd from None
 
 
 def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
@@ -98,18 +114,26 @@ def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
     if not certificate.feasible:
         raise PlanningFailed(f"the plan made by {solution.method} fails its own certificate: {certificate.broken}")
     curve = Trajectory(trajectory.control_points_m, trajectory.durations_s, laid.stations[trajectory.station_index])
+    count = len(set(curve.sequence))
+    if count > MOST_STATIONS:
+        raise TooManyStations(mission, count=count, most=MOST_STATIONS)
     named = mission.with_system_ids(curve.sequence)
     geometry = laid.geometry.renamed(named)
-    remarks = [*how.notes, *solution.notes]
+    remarks = [*how.notes, *solution.notes, *doubts(mission)]
     if how.planner.time_limit_s is not None:
         remarks.append(
             f"planned within a time limit of {how.planner.time_limit_s:g} s: another machine may plan otherwise"
         )
+    fastest = None
+    if solution.fastest_s is not None and solution.fastest_handovers is not None:
+        fastest = Fastest(solution.fastest_s, solution.fastest_handovers, solution.fewer_cost_s)
+    handovers = schedule(geometry, curve)
+    remarks += _overlap_remarks(mission, solution, handovers)
     plan = Plan(
         mission=named,
         trajectory=curve,
         plane=geometry.plane,
-        handovers=schedule(geometry, curve),
+        handovers=handovers,
         contingencies=contingencies(geometry, curve),
         certificate=certificate,
         lower_bound_s=true_lower_bound_s(laid, solution),
@@ -120,9 +144,29 @@ def find_plan(mission: Mission, how: PlanningMethod) -> Plan:
         planner_version=product_version(),
         iterations=solution.iterations,
         notes=tuple(remarks),
+        fastest=fastest,
     )
     tell("done", 1.0)
     return plan
+
+
+def _overlap_remarks(mission: Mission, solution: Solution, handovers: Sequence[Handover]) -> list[str]:
+    """What the overlaps aimed at cost, and which handovers fall short of them."""
+    target_s = overlap_after_target_s(mission.options, mission.limits)
+    remarks = []
+    if solution.overlap_cost_s >= 0.05:
+        remarks.append(
+            f"overlaps as long as aimed at ({target_s:.1f} s after a handover) cost {solution.overlap_cost_s:.1f} s"
+        )
+    short = [h for h in handovers if h.overlap_end_s - h.time_s < target_s - 1e-6]
+    if short:
+        which = ", ".join(f"{h.index} ({h.overlap_end_s - h.time_s:.1f} s)" for h in short)
+        price_s = Problem.price_s(solution.trajectory.duration_s)
+        remarks.append(
+            f"handovers that fall short of {target_s:.1f} s of overlap after them, which would cost more than "
+            f"{price_s:.1f} s each: {which}"
+        )
+    return remarks
 
 
 def problem_planner(planner: PlannerLike | None, method: Method, time_limit_s: float | None = None) -> ProblemPlanner:

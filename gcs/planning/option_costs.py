@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from gcs.errors import Finding, PlanningFailed
 from gcs.layout.problem_planner import PlannerLike
-from gcs.mission.model import Mission, MissionLimits, MissionOptions
+from gcs.mission.model import Mission, MissionLimits, MissionOptions, overlap_after_target_s
 from gcs.plan.model import TOGETHER, OptionCost, Plan
 from gcs.planning.mission_planning import PlanningMethod, find_plan, problem_planner
 from planner import Method
@@ -41,10 +41,9 @@ def with_costs(
     """
     mission, given = plan.mission, _in_force(plan.mission)
     how = PlanningMethod(problem_planner(planner, method))
-    # An arrival asked for hides what the others cost: they are held against the flight without it.
-    arrival = next((one for one in given if one.option == "arrival_s"), None)
-    hurried = mission if arrival is None else arrival.drop(mission)
-    others = [one for one in given if one is not arrival]
+    # What slows the fastest flight down hides what the others cost: they are held against the flight without it.
+    slowing = [one for one in given if one.option in ("arrival_s", "overlap_target_s", "handover_tolerance")]
+    others = [one for one in given if one not in slowing]
     total = len(given) + (len(given) > 1)
     done = 0
 
@@ -59,10 +58,11 @@ def with_costs(
             return None
 
     base_s: float | None = plan.mission_time_s
-    costs = []
-    if arrival is not None:
+    costs, hurried = [], mission
+    for one in slowing:
+        hurried, with_s = one.drop(hurried), base_s
         base_s = seconds(hurried)
-        costs.append(OptionCost("arrival_s", arrival.value, _cost_s(plan.mission_time_s, base_s, helps=False)))
+        costs.append(OptionCost(one.option, one.value, _cost_s(with_s, base_s, helps=False)))
     saving = mission.options.energy_weight > 0.0
     found: list[float] = []
     for one in others:
@@ -101,6 +101,12 @@ def _in_force(mission: Mission) -> list[_Given]:
     add(options.min_overlap_s, "min_overlap_s", f"{options.min_overlap_s:g} s", _options(min_overlap_s=0.0))
     add(options.range_margin_m, "range_margin_m", f"{options.range_margin_m:g} m", _options(range_margin_m=0.0))
     add(options.min_tenure_s, "min_tenure_s", f"{options.min_tenure_s:g} s", _options(min_tenure_s=0.0))
+    tolerance = options.handover_tolerance
+    add(options.arrival_s, "arrival_s", f"{options.arrival_s} s", _options(arrival_s=None))
+    target = options.overlap_target_s
+    aimed = overlap_after_target_s(options, limits) > 0.5 * options.min_overlap_s
+    add(aimed, "overlap_target_s", f"{target}", _options(overlap_target_s=0.0))
+    add(tolerance, "handover_tolerance", f"{tolerance:g}", _options(handover_tolerance=0.0))
     for name, unit in (("max_jerk_m_s3", "m/s^3"), ("max_climb_m_s", "m/s"), ("max_descent_m_s", "m/s")):
         value = getattr(limits, name)
         add(value, name, f"{value} {unit}", _limits(**{name: None}))
@@ -118,7 +124,6 @@ def _in_force(mission: Mission) -> list[_Given]:
     add(excluded, "excluded_stations", ", ".join(excluded), _options(excluded_stations=()))
     add(options.energy_weight, "objective", f"{options.objective}", _options(objective="time"))
     add(options.start_state, "start_state", "moving", _options(start_state=None))
-    add(options.arrival_s, "arrival_s", f"{options.arrival_s} s", _options(arrival_s=None))
     return given
 
 

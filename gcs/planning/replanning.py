@@ -277,6 +277,7 @@ def _whole(plan: Plan, rest: Plan, curve: Trajectory, join_s: float) -> Plan | M
         trajectory=curve,
         handovers=(),
         contingencies=(),
+        fastest=None,
         lower_bound_s=join_s + rest.lower_bound_s,
         path_length_m=curve.path_length_m(),
         solve_time_s=rest.solve_time_s,

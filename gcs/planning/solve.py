@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from gcs.errors import PlanningFailed
-from gcs.layout.planning_problem import PlanningProblem, without_endurance
+from gcs.layout.planning_problem import PlanningProblem, in_a_hurry, without_endurance
 from gcs.layout.problem_planner import ProblemPlanner
 from gcs.mission.model import Mission
 from gcs.remedies.findings import ArrivalAfterEndurance, ArrivalTooEarly, EnduranceTooShort, NoTrajectory
@@ -32,6 +33,9 @@ def solve(laid: PlanningProblem, planner: ProblemPlanner) -> Solution:
     except SolverError as error:
         raise PlanningFailed(f"every planning method gave up: {error}") from error
     allowed, arrival = mission.limits.allowed_s, mission.options.arrival_s
+    if solution.trajectory.duration_s > min(t for t in (allowed, arrival, math.inf) if t is not None):
+        # No time to give up for fewer handovers.
+        solution = planner.plan(in_a_hurry(laid.problem))
     duration = solution.trajectory.duration_s
     if allowed is not None and duration > allowed:
         raise EnduranceTooShort(mission, allowed_s=allowed, duration_s=duration, lower_bound_s=solution.lower_bound_s)
@@ -103,7 +107,7 @@ def _slower(problem: Problem, planner: ProblemPlanner, fastest: Trajectory, arri
             break
         speed = min(length / max(arrival_s - lost_s - 0.5 * SOON_S, 1e-3), top)
         try:
-            trial = planner.plan(without_endurance(problem), 0.5 * (top / speed) ** 3).trajectory
+            trial = planner.plan(in_a_hurry(problem), 0.5 * (top / speed) ** 3).trajectory
         except (InfeasibleError, SolverError):
             break
         # What is lost at ends and handovers; the rest is the way over the speed.

@@ -8,31 +8,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from gcs.errors import Finding, MissionInfeasible
 from gcs.layout.findings import NoAirspeed, NoRangeLeft
-from gcs.layout.mission_geometry import MissionGeometry
 from gcs.layout.planning_problem import lay_out
 from gcs.layout.problem_planner import ProblemPlanner
 from gcs.mission.model import Mission
 from gcs.remedies.application import apply
+from gcs.remedies.causes import place_of, sentence, told
 from gcs.remedies.changes import (
     Change,
     EarlierArrival,
+    IncludeStation,
     LaterArrival,
     LowerLimit,
     LowerWind,
     RaiseLimit,
 )
-from gcs.remedies.findings import ArrivalAfterEndurance, ArrivalTooEarly, EnduranceTooShort, NoTrajectory
+from gcs.remedies.findings import (
+    ArrivalAfterEndurance,
+    ArrivalTooEarly,
+    EnduranceTooShort,
+    NoTrajectory,
+    TooManyStations,
+)
 from gcs.remedies.remedy import Remedy, document_of
 from gcs.remedies.search import Search, lower_margin
-from gcs.remedies.translation import location_of, mission_remedies
-from gcs.remedies.trial import can_start, is_linked, planned_s
+from gcs.remedies.translation import TENTH, mission_remedies, up_to
+from gcs.remedies.trial import can_start, is_linked, planned_s, prices_s
 from gcs.remedies.wording import words_of
-from planner import Infeasibility
 from planner.infeasibility import diagnose_ranges
 
 # A margin is found to this many halvings of the one asked for.
@@ -52,9 +59,11 @@ def explain(finding: Finding, planner: ProblemPlanner) -> MissionInfeasible:
         case NoRangeLeft():
             return _no_range_left(finding, planner)
         case NoAirspeed():
-            return _no_airspeed(finding)
+            return _no_airspeed(finding, planner)
         case NoTrajectory():
             return _no_trajectory(finding, planner)
+        case TooManyStations():
+            return _too_many_stations(finding, planner)
         case EnduranceTooShort():
             return _endurance_too_short(finding, planner)
         case ArrivalTooEarly():
@@ -72,6 +81,8 @@ def _refused(
     stations: Sequence[str] = (),
     where: Mapping[str, float] | None = None,
     gap_m: float | None = None,
+    causes: Sequence[Mapping[str, object]] = (),
+    times_s: Mapping[Remedy, float] | None = None,
 ) -> MissionInfeasible:
     return MissionInfeasible(
         reason,
@@ -79,8 +90,9 @@ def _refused(
         stations=stations,
         where=where,
         gap_m=gap_m,
-        fix=document_of(remedies),
-        fix_text=words_of(remedies),
+        fix=document_of(remedies, times_s),
+        fix_text=words_of(remedies, times_s),
+        causes=causes,
     )
 
 
@@ -125,22 +137,22 @@ def _no_range_refused(mission: Mission, remedies: Sequence[Remedy]) -> MissionIn
     )
 
 
-def _no_airspeed(finding: NoAirspeed) -> MissionInfeasible:
-    limits = finding.mission.limits
+def _no_airspeed(finding: NoAirspeed, planner: ProblemPlanner) -> MissionInfeasible:
+    mission, limits = finding.mission, finding.mission.limits
     assert limits.max_airspeed_m_s is not None
     assert limits.wind_m_s is not None
-    needed = (1.0 + WIND_SPARE) * finding.standing_m_s
+    needed = up_to((1.0 + WIND_SPARE) * finding.standing_m_s, TENTH)
     part = limits.max_airspeed_m_s / needed
-    east, north = (part * x for x in limits.wind_m_s)
     wind = float(np.hypot(*limits.wind_m_s))
+    east, north = (part * x for x in limits.wind_m_s)
     raised = RaiseLimit("max_airspeed_m_s", needed - limits.max_airspeed_m_s, needed)
-    return MissionInfeasible(
+    remedies = _alone(raised, LowerWind(part * wind, east, north))
+    return _refused(
         "limits",
         f"The wind of {wind:.1f} m/s leaves nothing of the airspeed limit of {limits.max_airspeed_m_s:g} m/s: "
         "the vehicle cannot hold its place, nor start or end at rest.",
-        fix=document_of(_alone(raised, LowerWind(part * wind, east, north))),
-        fix_text=f"Raise max_airspeed_m_s to {np.ceil(needed * 10.0) / 10.0:.1f} m/s, or wait until the wind is below "
-        f"{np.floor(part * wind * 10.0) / 10.0:.1f} m/s.",
+        remedies,
+        times_s=prices_s(mission, remedies, planner),
     )
 
 
@@ -153,40 +165,22 @@ def _no_trajectory(finding: NoTrajectory, planner: ProblemPlanner) -> MissionInf
     moving = geometry.mission.options.start_state is not None
     if found.reason == "limits" and moving and found.remedies and found.limit != "max_handovers":
         return _no_start(geometry.mission, planner, found.message, found.limit)
-    ids = [geometry.mission.stations[int(laid.stations[k])].id for k in found.stations]
+    remedies = mission_remedies(laid, found)
+    message, causes = told(laid, found)
+    included = [change.station for change in remedies[0] if isinstance(change, IncludeStation)] if remedies else []
+    if included:
+        are = "is" if len(included) == 1 else "are"
+        message += f" {' and '.join(included)} {are} excluded (excluded_stations); otherwise there is a way."
     return _refused(
         found.reason,
-        _message(geometry, found, ids),
-        mission_remedies(laid, found),
-        stations=ids,
-        where=None if found.position_m is None else location_of(geometry, found.position_m).to_document(),
+        message,
+        remedies,
+        stations=[geometry.mission.stations[int(laid.stations[k])].id for k in found.stations],
+        where=place_of(geometry, found),
         gap_m=found.gap_m,
+        causes=causes,
+        times_s=prices_s(geometry.mission, remedies, planner),
     )
-
-
-def _message(geometry: MissionGeometry, found: Infeasibility, ids: list[str]) -> str:
-    limits, margin = geometry.mission.limits, geometry.mission.options.range_margin_m
-    gap = None if found.gap_m is None else f"{found.gap_m:.1f} m"
-    less = f" less the margin of {margin:g} m" if margin > 0 else ""
-    end = "start" if found.reason.startswith("start") else "destination"
-    if found.reason in ("start_uncovered", "destination_uncovered"):
-        if found.gap_m == 0.0 and ids:
-            return f"The {end} is in range of {ids[0]} but below its lowest elevation."
-        nearest = f"; the nearest, {ids[0]}, misses it by {gap}" if gap and ids else ""
-        return f"The {end} is out of every station's range{less}{nearest}."
-    if found.reason in ("start_altitude", "destination_altitude"):
-        band = f"{limits.min_alt_amsl_m:g} to {limits.max_alt_amsl_m:g} m AMSL"
-        return f"The {end} is outside the altitude band of {band}" + (f" by {gap}." if gap else ".")
-    if found.reason == "broken_chain":
-        between = (
-            f": in the best one a gap of {gap} remains between {ids[0]} and {ids[1]}" if len(ids) == 2 and gap else ""
-        )
-        return f"No chain of overlapping ranges{less} leads from the start to the destination{between}."
-    return _sentence(found.message)
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:].rstrip(".") + "."
 
 
 def _no_start(mission: Mission, planner: ProblemPlanner, message: str, limit: str | None) -> MissionInfeasible:
@@ -201,7 +195,21 @@ def _no_start(mission: Mission, planner: ProblemPlanner, message: str, limit: st
     if mission.origin is not None:
         place = lay_out(mission).geometry.geo(np.array([where["east_m"], where["north_m"], where["up_m"]]))
         where |= {name: float(value) for name, value in vars(place).items()}
-    return _refused("limits", _sentence(message), _alone(*search.start_changes(limit)), where=where)
+    return _refused("limits", sentence(message), _alone(*search.start_changes(limit)), where=where)
+
+
+def _too_many_stations(finding: TooManyStations, planner: ProblemPlanner) -> MissionInfeasible:
+    """With what leaves a way past fewer stations; none of it is more handovers."""
+    mission, most = finding.mission, finding.most
+    laid = lay_out(replace(mission, options=replace(mission.options, max_handovers=most - 1)))
+    found = diagnose_ranges(laid.problem)
+    offered = [] if found is None else mission_remedies(laid, found)
+    remedies = [r for r in offered if not any(isinstance(c, RaiseLimit) and c.limit == "max_handovers" for c in r)]
+    message = (
+        f"{finding.count} stations are needed on the way, and MAVLink system ids tell no more than {most} apart in one "
+        "flight. Fly it as several missions that meet at a landing place, or with fewer stations of larger range."
+    )
+    return _refused("limits", message, remedies)
 
 
 def _endurance_too_short(finding: EnduranceTooShort, planner: ProblemPlanner) -> MissionInfeasible:

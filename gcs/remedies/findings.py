@@ -20,6 +20,16 @@ class NoTrajectory(Finding):
         self.infeasibility = infeasibility
 
 
+class TooManyStations(Finding):
+    """The plan found needs ``count`` stations, and system ids tell no more than ``most`` apart."""
+
+    def __init__(self, mission: Mission, *, count: int, most: int) -> None:
+        super().__init__(f"{count} stations are flown, and system ids tell no more than {most} apart")
+        self.mission = mission
+        self.count = count
+        self.most = most
+
+
 class EnduranceTooShort(Finding):
     """The fastest plan found, ``duration_s``, takes longer than endurance less reserve, ``allowed_s``.
 

@@ -5,13 +5,12 @@ What is offered to people is a list of remedies, the smallest first, each of whi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 from gcs.remedies.changes import (
     AddStation,
     Change,
-    IncludeStation,
     LowerMargin,
     Move,
     RaiseAllRanges,
@@ -27,30 +26,37 @@ Remedy: TypeAlias = tuple[Change, ...]
 _IN_METRES = (RaiseRange, RaiseAllRanges, LowerMargin, WidenBand, SetAltitude, Move)
 
 
-def document_of(remedies: Sequence[Remedy]) -> dict[str, object] | None:
+def document_of(remedies: Sequence[Remedy], times_s: Mapping[Remedy, float] | None = None) -> dict[str, object] | None:
     """Remedies as the contract's ``fix``: the first one, what it needs beside it under ``also``, and the others under
-    ``alternatives``. None without any.
+    ``alternatives``; ``mission_time_s`` is how long the flight then takes, of those in ``times_s``. None without any.
     """
     if not remedies:
         return None
-    first, *others = (_document(remedy) for remedy in remedies)
+    first, *others = (_document(remedy, (times_s or {}).get(remedy)) for remedy in remedies)
     return {**first, "alternatives": others} if others else first
 
 
-def _document(remedy: Remedy) -> dict[str, object]:
+def _document(remedy: Remedy, time_s: float | None) -> dict[str, object]:
     first, *also = (to_document(change) for change in remedy)
-    return {**first, "also": also} if also else first
+    return {
+        **first,
+        **({"also": also} if also else {}),
+        **({} if time_s is None else {"mission_time_s": time_s}),
+    }
 
 
 def cost_order(remedy: Remedy) -> tuple[int, float]:
     """What remedies are sorted by: what is asked of the mission, then metres in all, then what asks for many or a new
     one.
 
-    An option or an angle first; one place's metres next; a station that was left out on purpose, every station's
-    range, and at last a station more.
+    An option or an angle first; one place's metres next, where a mistyped altitude is doubted before the airspace is
+    widened; every station's range, and at last a station more.
     """
-    late: tuple[type[Change], ...] = (IncludeStation, RaiseAllRanges, AddStation)
-    if type(remedy[0]) in late:
-        return 2 + late.index(type(remedy[0])), 0.0
-    metres = [change.by_m for change in remedy if isinstance(change, _IN_METRES)]
-    return (1, sum(abs(by_m) for by_m in metres)) if len(metres) == len(remedy) else (0, 0.0)
+    metres = sum(abs(change.by_m) for change in remedy if isinstance(change, _IN_METRES))
+    if any(isinstance(change, AddStation) for change in remedy):
+        return 5, float(len(remedy))
+    if any(isinstance(change, RaiseAllRanges) for change in remedy):
+        return 4, metres
+    if any(isinstance(change, WidenBand) for change in remedy):
+        return 2, metres
+    return (1, metres) if any(isinstance(change, _IN_METRES) for change in remedy) else (0, 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from gcs.remedies.changes import (
     AddStation,
@@ -32,10 +32,20 @@ from gcs.remedies.remedy import Remedy
 _TENTHS, _HUNDREDTHS = 10.0, 100.0
 
 
-def words_of(remedies: Sequence[Remedy]) -> str:
-    """Remedies as one sentence; empty without any."""
-    text = "; or ".join(" and ".join(words(change) for change in remedy) for remedy in remedies)
+def words_of(remedies: Sequence[Remedy], times_s: Mapping[Remedy, float] | None = None) -> str:
+    """Remedies as one sentence; empty without any. ``times_s``: how long the flight takes after some of them."""
+    told = (
+        " and ".join(words(change) for change in remedy) + _price((times_s or {}).get(remedy)) for remedy in remedies
+    )
+    text = "; or ".join(told)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def _price(time_s: float | None) -> str:
+    if time_s is None:
+        return ""
+    minutes, seconds = divmod(round(time_s), 60)
+    return f" (the flight then takes {minutes // 60}:{minutes % 60:02d}:{seconds:02d})"
 
 
 def words(change: Change) -> str:
@@ -62,7 +72,7 @@ def words(change: Change) -> str:
             assert high_m is not None
             return f"raise max_alt_amsl_m to {_up(high_m)} m"
         case SetAltitude(of, alt_amsl_m):
-            return f"set the altitude of the {of} to {alt_amsl_m:g} m AMSL"
+            return f"set the altitude of the {of} to {alt_amsl_m:.10g} m AMSL"
         case Move(of, location, by_m):
             return f"move the {of} by {_up(by_m)} m to {_place(location)}"
         case AddStation(location, range_m):

@@ -2,27 +2,31 @@
 
 SQLite by default, in write-ahead mode with ``synchronous=FULL``: what a caller was told is stored stays stored
 through a kill or a power cut. A write transaction takes the write lock at its start (``BEGIN IMMEDIATE``), so that
-two writers queue up instead of failing half-way. PostgreSQL needs nothing of that.
+two writers queue up instead of failing half-way. PostgreSQL needs nothing of that; its writers lock what they judge.
 """
 
 from __future__ import annotations
 
 import contextlib
-import sqlite3
+import hashlib
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, create_engine, event, inspect, make_url, text
+from sqlalchemy import URL, Connection, create_engine, event, inspect, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
-from gcs.errors import StoreUnavailable
+from gcs.errors import ConflictError, StoreUnavailable
 
 # The newest migration in gcs/store/migrations/versions.
-HEAD = "0001"
+HEAD = "0003"
+EARLIER = ("0001", "0002")
 _WRITE = "skyrelay_write"
+# PostgreSQL's code for a lock that was waited for too long.
+_LOCK_NOT_AVAILABLE = "55P03"
 
 
 class Database:
@@ -30,17 +34,10 @@ class Database:
 
     def __init__(self, url: str, *, lock_timeout_s: float = 5.0) -> None:
         try:
-            parsed = make_url(url)
+            parsed = parse_address(url)
             self.is_sqlite = parsed.get_backend_name() == "sqlite"
-            options: dict[str, Any] = {"pool_pre_ping": not self.is_sqlite}
-            if self.is_sqlite:
-                options["connect_args"] = {"timeout": lock_timeout_s}
-                if parsed.database in (None, "", ":memory:"):
-                    raise StoreUnavailable(
-                        "a SQLite database in memory is another one for every connection; give a file"
-                    )
-            self.engine = create_engine(parsed, **options)
-        except (ArgumentError, NoSuchModuleError, ImportError) as error:
+            self.engine = create_engine(parsed, **_options(parsed, lock_timeout_s))
+        except (ArgumentError, NoSuchModuleError, ImportError, ValueError) as error:
             raise StoreUnavailable(f"cannot use the database address: {error}") from None
         self.path = Path(parsed.database) if self.is_sqlite and parsed.database else None
         if self.is_sqlite:
@@ -55,17 +52,52 @@ class Database:
 
     @contextlib.contextmanager
     def write(self) -> Iterator[Connection]:
-        """A write transaction: committed at the end, undone when anything is raised inside."""
+        """A write transaction: committed at the end, undone when anything is raised inside.
+
+        SQLite's writers come one after another. PostgreSQL's work side by side: `lock` what is looked at before it is
+        changed. Raises ``IntegrityError`` where a rule of the tables is broken.
+        """
         with _as_unavailable(), self.engine.connect() as connection:
             connection = connection.execution_options(**{_WRITE: True})
             with connection.begin():
                 yield connection
 
+    @contextlib.contextmanager
+    def change(self) -> Iterator[Connection]:
+        """As `write`; a broken rule, which another request must have brought about meanwhile, is a `ConflictError`."""
+        try:
+            with self.write() as connection:
+                yield connection
+        except IntegrityError as error:
+            raise ConflictError("another request has changed the same meanwhile; look at it and ask again") from error
+
+    def lock(self, connection: Connection, *name: str) -> None:
+        """Until the end of a write transaction no other one locks ``name``. Nothing to do with SQLite."""
+        if not self.is_sqlite:
+            # Names of different things may share a number: these then wait for each other without need.
+            digest = hashlib.sha256("\0".join(name).encode("utf-8", "surrogatepass")).digest()
+            number = int.from_bytes(digest[:8], "big", signed=True)
+            connection.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": number})
+
     def migrate(self) -> None:
-        """Bring the tables up to date; nothing to do costs one query."""
+        """Bring the tables up to date; nothing to do costs one query.
+
+        Raises `StoreUnavailable` for tables of a newer skyrelay, and for a PostgreSQL database that is not in UTF-8.
+        """
         with self.write() as connection:
-            if self._revision(connection) == HEAD:
+            if not self.is_sqlite:
+                encoding = connection.execute(text("SHOW server_encoding")).scalar_one()
+                if encoding != "UTF8":
+                    raise StoreUnavailable(f"the database is in {encoding}, not UTF8: make it WITH ENCODING 'UTF8'")
+                self.lock(connection, "migration")
+            revision = self._revision(connection)
+            if revision == HEAD:
                 return
+            if revision is not None and revision not in EARLIER:
+                raise StoreUnavailable(
+                    f"its tables are of a newer skyrelay (revision {revision}; this one knows up to {HEAD}): run that "
+                    "one, or restore a safety copy made before it was installed"
+                )
             # Imported here: a store that is up to date does not pay for it.
             from alembic import command
             from alembic.config import Config
@@ -90,40 +122,51 @@ class Database:
         return None if found is None else str(found)
 
     def check(self) -> None:
-        """A query that must work, for readiness. Raises `StoreUnavailable`."""
-        with self.read() as connection:
-            connection.execute(text("SELECT 1 FROM missions LIMIT 1")).first()
+        """A write that must reach the disk, for readiness: one that can only be read is of no use to a flight.
 
-    def backup_to(self, path: str | Path) -> None:
-        """A consistent copy of a SQLite database, made while it is in use, whole or not at all.
-
-        Raises `StoreUnavailable` for other databases (use their own tools) and when the copy is damaged or cannot be
-        written.
+        Raises `StoreUnavailable`.
         """
-        if self.path is None:
-            raise StoreUnavailable("only SQLite is copied from here; use pg_dump for PostgreSQL")
-        target = Path(path)
-        partial = target.with_name(target.name + ".part")
-        partial.unlink(missing_ok=True)
-        try:
-            with (
-                contextlib.closing(sqlite3.connect(self.path)) as source,
-                contextlib.closing(sqlite3.connect(partial)) as copy,
-            ):
-                source.backup(copy)
-                copy.execute("PRAGMA journal_mode=DELETE")
-                verdict = copy.execute("PRAGMA integrity_check").fetchone()[0]
-            if verdict != "ok":
-                raise StoreUnavailable(f"the copy is damaged: {verdict}")
-            partial.replace(target)
-        except (sqlite3.Error, OSError) as error:
-            raise StoreUnavailable(f"cannot copy the database to {target}: {error}") from None
-        finally:
-            partial.unlink(missing_ok=True)
+        now = datetime.now(UTC).isoformat()
+        with self.write() as connection:
+            connection.execute(text("UPDATE write_probe SET checked_utc = :now WHERE id = 1"), {"now": now})
 
     def close(self) -> None:
         """Give back every connection."""
         self.engine.dispose()
+
+
+def parse_address(url: str) -> URL:
+    """The parsed address, its driver named. Raises ``ArgumentError``, `StoreUnavailable`."""
+    parsed = make_url("postgresql" + url.removeprefix("postgres") if url.startswith("postgres:") else url)
+    backend = parsed.get_backend_name()
+    if backend == "postgresql":
+        return parsed.set(drivername="postgresql+psycopg")
+    if backend != "sqlite":
+        raise StoreUnavailable(
+            f"cannot use the database address: there is no {backend!r} here; give sqlite:///FILE or "
+            "postgresql://USER@HOST/DATABASE"
+        )
+    if parsed.database in (None, "", ":memory:"):
+        raise StoreUnavailable("a SQLite database in memory is another one for every connection; give a file")
+    return parsed
+
+
+def _options(parsed: URL, lock_timeout_s: float) -> dict[str, Any]:
+    if parsed.get_backend_name() == "sqlite":
+        return {"connect_args": {"timeout": lock_timeout_s}}
+    # A connection that is asked for and one that is waited for take as long as a lock at most; a commit is on disk.
+    settings = {"lock_timeout": f"{lock_timeout_s * 1e3:.0f}ms", "synchronous_commit": "on", "timezone": "UTC"}
+    return {
+        "pool_pre_ping": True,
+        "pool_size": 10,
+        "max_overflow": 20,
+        "pool_timeout": lock_timeout_s,
+        "connect_args": {
+            "connect_timeout": max(2, round(lock_timeout_s)),
+            "application_name": "skyrelay",
+            "options": " ".join(f"-c {name}={value}" for name, value in settings.items()),
+        },
+    }
 
 
 @contextlib.contextmanager
@@ -134,7 +177,10 @@ def _as_unavailable() -> Iterator[None]:
     except IntegrityError:
         raise
     except DBAPIError as error:
-        raise StoreUnavailable(f"the database cannot be used: {error.orig}") from error
+        if getattr(error.orig, "sqlstate", None) == _LOCK_NOT_AVAILABLE:
+            raise StoreUnavailable("the database cannot be used: it is locked by another program") from error
+        said = str(error.orig).strip().splitlines() or [type(error.orig).__name__]
+        raise StoreUnavailable(f"the database cannot be used: {said[0]}") from error
     except PoolTimeoutError as error:
         raise StoreUnavailable("every connection to the database is in use") from error
     except SQLAlchemyError as error:

@@ -15,8 +15,9 @@ from sqlalchemy.exc import IntegrityError
 from gcs.errors import ConflictError, NotFoundError, StoreError
 from gcs.flight import FlightEvent, FlightState
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
-from gcs.store.tables import flight_events, flights, mission_versions
+from gcs.store.documents import dump, load_for_list
+from gcs.store.missions import Clock, stored_utc
+from gcs.store.tables import flight_events, flights, mission_versions, missions
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +37,10 @@ class FlightRecord:
     created_utc: str
     changed_utc: str
     ended_utc: str | None
+    vehicle_identity: str | None = None
+    """Which vehicle it is by the vehicle's own word; None until it was asked."""
+    owner: str | None = None
+    """The service whose flight this is (`gcs.store.data_owner`)."""
 
 
 class FlightStore:
@@ -55,13 +60,17 @@ class FlightStore:
         vehicle_id: str,
         document: Mapping[str, Any] | None = None,
         state: FlightState = FlightState.CONNECTING,
+        owner: str | None = None,
     ) -> FlightRecord:
         """A new flight of a planned version.
 
         Raises `NotFoundError` for an unknown version; `ConflictError` when that version has no plan, or another one
         than ``plan_sha256``, or the vehicle flies already.
         """
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            # The same names and order everywhere: what is judged here stays so until the flight is there.
+            self._db.lock(connection, "mission", mission_id)
+            self._db.lock(connection, "flights of", vehicle_id)
             planned = connection.execute(
                 select(mission_versions.c.status, mission_versions.c.plan_sha256).where(
                     mission_versions.c.mission_id == mission_id, mission_versions.c.version == version
@@ -69,6 +78,9 @@ class FlightStore:
             ).first()
             if planned is None:
                 raise NotFoundError(f"there is no version {version} of mission {mission_id}")
+            archived = connection.execute(select(missions.c.archived_utc).where(missions.c.id == mission_id)).scalar()
+            if archived is not None:
+                raise ConflictError(f"mission {mission_id} is archived: submit it again to fly it")
             if planned.status != "planned":
                 raise ConflictError(f"mission {mission_id} is {planned.status}, not planned")
             if planned.plan_sha256 != plan_sha256:
@@ -87,6 +99,7 @@ class FlightStore:
                     plan_sha256=plan_sha256,
                     vehicle_id=vehicle_id,
                     state=state.value,
+                    owner=owner,
                     document=dump(dict(document or {})),
                     created_utc=now,
                     changed_utc=now,
@@ -119,6 +132,28 @@ class FlightStore:
             query = query.where(flights.c.ended_utc.is_(None))
         with self._db.read() as connection:
             return [_record(row._mapping) for row in connection.execute(query)]
+
+    def claim(self, flight_id: str, vehicle_identity: str) -> None:
+        """Note which vehicle a flight is of. Again the same does nothing.
+
+        Raises `NotFoundError`, and `ConflictError` when a flight that has not ended has that vehicle.
+        """
+        try:
+            with self._db.write() as connection:
+                self._get(connection, flight_id)
+                connection.execute(
+                    update(flights).where(flights.c.id == flight_id).values(vehicle_identity=vehicle_identity)
+                )
+        except IntegrityError:
+            with self._db.read() as connection:
+                busy = connection.execute(
+                    select(flights.c.id).where(
+                        flights.c.vehicle_identity == vehicle_identity, flights.c.ended_utc.is_(None)
+                    )
+                ).scalar_one_or_none()
+            raise ConflictError(
+                f"the vehicle ({vehicle_identity}) is on flight {busy or 'another'}, which has not ended"
+            ) from None
 
     def update(self, flight_id: str, document: Mapping[str, Any]) -> FlightRecord:
         """Replace what is kept with a flight. Raises `NotFoundError`."""
@@ -225,4 +260,5 @@ class FlightJournal:
 
 def _record(row: RowMapping) -> FlightRecord:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
-    return FlightRecord(**{**values, "state": FlightState(values["state"]), "document": json.loads(values["document"])})
+    document = load_for_list(values["document"], f"what is kept with flight {values['id']}") or {}
+    return FlightRecord(**{**values, "state": FlightState(values["state"]), "document": document})

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,6 +13,7 @@ from sqlalchemy import Connection, RowMapping, func, insert, select, update
 
 from gcs.errors import ConflictError, NotFoundError, QueueFullError
 from gcs.store.database import Database
+from gcs.store.documents import dump, load, load_for_list
 from gcs.store.tables import flights, idempotency_keys, mission_versions, missions
 from gcs.timestamps import utc_text
 
@@ -25,8 +25,8 @@ STATUSES = ("queued", "planning", "planned", "infeasible", "failed")
 class MissionRecord:
     """One version of a mission, as stored; ``number`` orders missions by their making.
 
-    ``phase`` is a word about the status (e.g. ``"scheduling"``), ``progress`` from 0 to 1. ``infeasibility`` is
-    `MissionInfeasible.to_document`; ``error`` says what failed.
+    ``phase`` is a word about the status (e.g. ``"scheduling"``), ``progress`` from 0 to 1. ``mission_time_s`` and
+    ``handover_count`` are the plan's. ``infeasibility`` is `MissionInfeasible.to_document`; ``error`` says what failed.
     """
 
     number: int
@@ -38,6 +38,8 @@ class MissionRecord:
     phase: str
     progress: float
     plan_sha256: str | None
+    mission_time_s: float | None
+    handover_count: int | None
     infeasibility: dict[str, Any] | None
     error: str | None
     created_utc: str
@@ -59,11 +61,6 @@ def stored_utc(moment: datetime) -> str:
     return utc_text(moment, "microseconds")
 
 
-def dump(document: object) -> str:
-    """JSON text of a document."""
-    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-
-
 _RECORD = (
     missions.c.number,
     missions.c.id,
@@ -74,12 +71,16 @@ _RECORD = (
     mission_versions.c.phase,
     mission_versions.c.progress,
     mission_versions.c.plan_sha256,
+    mission_versions.c.mission_time_s,
+    mission_versions.c.handover_count,
     mission_versions.c.infeasibility,
     mission_versions.c.error,
     mission_versions.c.created_utc,
     mission_versions.c.changed_utc,
     missions.c.archived_utc,
 )
+# More than any number of a row.
+_NEWEST = 2**63 - 1
 _JOINED = missions.join(mission_versions, missions.c.id == mission_versions.c.mission_id)
 
 
@@ -105,16 +106,18 @@ class MissionStore:
         With a key seen before, the record made then. Raises `ConflictError` when that was for another request, and
         `QueueFullError` when ``max_queued`` missions wait already.
         """
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             known = self._known(connection, idempotency)
             if known is not None:
                 return known, False
             self._check_queue(connection, max_queued)
             mission_id, now = self._new_id(), stored_utc(self._clock())
-            connection.execute(
-                insert(missions).values(id=mission_id, name=str(document["name"]), latest_version=1, created_utc=now)
+            made = connection.execute(
+                insert(missions)
+                .values(id=mission_id, name=str(document["name"]), latest_version=1, created_utc=now)
+                .returning(missions.c.number)
             )
-            self._add_version(connection, mission_id, 1, document, now, idempotency)
+            self._add_version(connection, (mission_id, 1, made.scalar_one()), document, now, idempotency)
             return self._get(connection, mission_id, None), True
 
     def add_version(
@@ -126,10 +129,11 @@ class MissionStore:
         max_queued: int | None = None,
     ) -> tuple[MissionRecord, bool]:
         """A new version of a mission, queued; otherwise as `add`. Raises `ConflictError` when it is archived."""
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             known = self._known(connection, idempotency)
             if known is not None:
                 return known, False
+            self._db.lock(connection, "mission", mission_id)
             record = self._get(connection, mission_id, None)
             if record.archived_utc is not None:
                 raise ConflictError(f"mission {mission_id} is archived; make a new mission")
@@ -140,18 +144,23 @@ class MissionStore:
                 .where(missions.c.id == mission_id)
                 .values(latest_version=version, name=str(document["name"]))
             )
-            self._add_version(connection, mission_id, version, document, now, idempotency)
+            connection.execute(
+                update(mission_versions)
+                .where(mission_versions.c.latest_number == record.number)
+                .values(latest_number=None, listed_number=None)
+            )
+            self._add_version(connection, (mission_id, version, record.number), document, now, idempotency)
             return self._get(connection, mission_id, None), True
 
     def _add_version(
         self,
         connection: Connection,
-        mission_id: str,
-        version: int,
+        latest: tuple[str, int, int],
         document: Mapping[str, Any],
         now: str,
         idempotency: Idempotency | None,
     ) -> None:
+        mission_id, version, number = latest
         connection.execute(
             insert(mission_versions).values(
                 mission_id=mission_id,
@@ -162,6 +171,8 @@ class MissionStore:
                 progress=0.0,
                 created_utc=now,
                 changed_utc=now,
+                latest_number=number,
+                listed_number=number,
             )
         )
         if idempotency is not None:
@@ -179,6 +190,7 @@ class MissionStore:
     def _known(self, connection: Connection, idempotency: Idempotency | None) -> MissionRecord | None:
         if idempotency is None:
             return None
+        self._db.lock(connection, "idempotency", idempotency.scope, idempotency.key)
         found = connection.execute(
             select(idempotency_keys).where(
                 idempotency_keys.c.scope == idempotency.scope, idempotency_keys.c.key == idempotency.key
@@ -235,28 +247,18 @@ class MissionStore:
                     mission_versions.c.mission_id == mission_id, mission_versions.c.version == record.version
                 )
             ).scalar_one()
-        loaded: dict[str, Any] | None = None if text is None else json.loads(text)
-        return loaded
+        return None if text is None else load(text, f"the {column} of mission {mission_id}")
 
     def page(
         self, *, limit: int = 50, before: int | None = None, archived: bool = False, status: str | None = None
     ) -> list[MissionRecord]:
         """Latest versions, newest mission first, at most ``limit``, those with ``number`` below ``before``."""
-        query = (
-            select(*_RECORD)
-            .select_from(_JOINED)
-            .where(mission_versions.c.version == missions.c.latest_version)
-            .order_by(missions.c.number.desc())
-            .limit(limit)
-        )
-        if before is not None:
-            query = query.where(missions.c.number < before)
-        if not archived:
-            query = query.where(missions.c.archived_utc.is_(None))
+        order = mission_versions.c.latest_number if archived else mission_versions.c.listed_number
+        query = select(*_RECORD).select_from(_JOINED).where(order < (_NEWEST if before is None else before))
         if status is not None:
             query = query.where(mission_versions.c.status == status)
         with self._db.read() as connection:
-            return [_record(row._mapping) for row in connection.execute(query)]
+            return [_record(row._mapping) for row in connection.execute(query.order_by(order.desc()).limit(limit))]
 
     def versions(self, mission_id: str) -> list[MissionRecord]:
         """Every version of a mission, oldest first. Raises `NotFoundError`."""
@@ -286,7 +288,8 @@ class MissionStore:
 
         Raises `NotFoundError`, and `ConflictError` while a flight that has not ended uses it.
         """
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            self._db.lock(connection, "mission", mission_id)
             record = self._get(connection, mission_id, None)
             if record.archived_utc is not None:
                 return record
@@ -297,12 +300,17 @@ class MissionStore:
                 raise ConflictError(f"flight {using.id} uses mission {mission_id} and has not ended")
             now = stored_utc(self._clock())
             connection.execute(update(missions).where(missions.c.id == mission_id).values(archived_utc=now))
+            connection.execute(
+                update(mission_versions)
+                .where(mission_versions.c.latest_number == record.number)
+                .values(listed_number=None)
+            )
             self._give_up(connection, mission_id, None, "archived", now)
             return self._get(connection, mission_id, None)
 
     def cancel(self, mission_id: str, version: int | None = None) -> bool:
         """Give up the planning of a version that is not done yet; whether there was anything to give up."""
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             record = self._get(connection, mission_id, version)
             return self._give_up(connection, mission_id, record.version, "cancelled", stored_utc(self._clock())) > 0
 
@@ -320,5 +328,7 @@ class MissionStore:
 def _record(row: RowMapping) -> MissionRecord:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
     found = values["infeasibility"]
-    values["infeasibility"] = None if found is None else json.loads(found)
+    if found is not None:
+        kept = load_for_list(found, f"why mission {values['id']} has no plan")
+        values["infeasibility"] = kept or {"message": "why there is no plan cannot be read any more; plan it again"}
     return MissionRecord(**values)

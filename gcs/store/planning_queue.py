@@ -6,7 +6,6 @@ what is still ``planning`` when its lease has run out belonged to a planner that
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
@@ -14,9 +13,10 @@ from typing import Any
 
 from sqlalchemy import select, update
 
-from gcs.errors import MissionInfeasible
+from gcs.errors import MissionInfeasible, StoreUnavailable
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
+from gcs.store.documents import dump, load
+from gcs.store.missions import Clock, stored_utc
 from gcs.store.tables import mission_versions
 
 
@@ -37,8 +37,20 @@ class PlanningQueue:
         self._clock = clock
 
     def claim(self, owner: str, lease_s: float) -> Claim | None:
-        """Take the version that has waited longest, for ``lease_s`` seconds; None when none waits."""
-        with self._db.write() as connection:
+        """Take the version that has waited longest, for ``lease_s`` seconds; None when none waits.
+
+        One whose document cannot be read has failed: it must not stand in the way of those behind it.
+        """
+        while (found := self._take(owner, lease_s)) is not None:
+            mission_id, version, text = found
+            try:
+                return Claim(mission_id, version, load(text, f"the document of mission {mission_id}"))
+            except StoreUnavailable as error:
+                self.finish_failed(Claim(mission_id, version, {}), owner, str(error))
+        return None
+
+    def _take(self, owner: str, lease_s: float) -> tuple[str, int, str] | None:
+        with self._db.change() as connection:
             found = connection.execute(
                 select(
                     mission_versions.c.number,
@@ -67,12 +79,12 @@ class PlanningQueue:
                     changed_utc=stored_utc(now),
                 )
             )
-            return Claim(found.mission_id, found.version, json.loads(found.document))
+            return str(found.mission_id), int(found.version), str(found.document)
 
     def renew(self, owner: str, lease_s: float) -> int:
         """Lengthen every lease of ``owner``; how many there are."""
         until = stored_utc(self._clock() + timedelta(seconds=lease_s))
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             return connection.execute(
                 update(mission_versions)
                 .where(mission_versions.c.owner == owner, mission_versions.c.status == "planning")
@@ -89,7 +101,7 @@ class PlanningQueue:
         """Queue again what ``owner`` was planning; without an owner, what leases have run out on. How many."""
         now = stored_utc(self._clock())
         whose = mission_versions.c.owner == owner if owner is not None else mission_versions.c.lease_utc < now
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             return connection.execute(
                 update(mission_versions)
                 .where(mission_versions.c.status == "planning", whose)
@@ -102,6 +114,7 @@ class PlanningQueue:
 
     def finish(self, claim: Claim, owner: str, plan: Mapping[str, Any]) -> bool:
         """Store the plan; False when the planning is no longer ``owner``'s."""
+        handovers = plan.get("handovers")
         return self._settle(
             claim,
             owner,
@@ -110,6 +123,8 @@ class PlanningQueue:
             progress=1.0,
             plan=dump(plan),
             plan_sha256=str(plan["plan_sha256"]),
+            mission_time_s=plan.get("mission_time_s"),
+            handover_count=None if handovers is None else len(handovers),
             owner=None,
         )
 
@@ -130,7 +145,7 @@ class PlanningQueue:
         return self._settle(claim, owner, status="failed", phase="failed", error=error[:10_000], owner=None)
 
     def _settle(self, claim: Claim, by: str, **values: object) -> bool:
-        with self._db.write() as connection:
+        with self._db.change() as connection:
             done = connection.execute(
                 update(mission_versions)
                 .where(

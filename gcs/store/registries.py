@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import RowMapping, delete, insert, select, update
+from sqlalchemy import Connection, RowMapping, delete, insert, select, update
 
 from gcs.errors import ConflictError, NotFoundError
 from gcs.store.database import Database
-from gcs.store.missions import Clock, dump, stored_utc
-from gcs.store.tables import registry
+from gcs.store.documents import dump, load_for_list
+from gcs.store.missions import Clock, stored_utc
+from gcs.store.tables import flights, registry
 
 KINDS = ("station", "vehicle", "link")
 
@@ -45,7 +46,8 @@ class RegistryStore:
         """
         _check_kind(kind)
         here = (registry.c.kind == kind) & (registry.c.id == entry_id)
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            self._db.lock(connection, kind, entry_id)
             found = connection.execute(select(registry).where(here)).first()
             present = 0 if found is None else int(found.revision)
             if revision is not None and revision != present:
@@ -79,9 +81,10 @@ class RegistryStore:
             return [_entry(row._mapping) for row in connection.execute(query)]
 
     def remove(self, kind: str, entry_id: str) -> None:
-        """Forget an entry. Raises `NotFoundError`."""
+        """Forget an entry. Raises `NotFoundError`; `ConflictError` for a vehicle in flight, or one of its links."""
         _check_kind(kind)
-        with self._db.write() as connection:
+        with self._db.change() as connection:
+            _check_not_in_flight(connection, kind, entry_id)
             gone = connection.execute(
                 delete(registry).where(registry.c.kind == kind, registry.c.id == entry_id)
             ).rowcount
@@ -94,6 +97,19 @@ def _check_kind(kind: str) -> None:
         raise ValueError(f"no registry of {kind!r}: one of {', '.join(KINDS)}")
 
 
+def _check_not_in_flight(connection: Connection, kind: str, entry_id: str) -> None:
+    """Raises `ConflictError`: who looks for a vehicle in flight, or how to reach it, must find it."""
+    if kind not in ("vehicle", "link"):
+        return
+    for flight in connection.execute(select(flights.c.id, flights.c.vehicle_id).where(flights.c.ended_utc.is_(None))):
+        here = (registry.c.kind == "vehicle") & (registry.c.id == flight.vehicle_id)
+        vehicle = connection.execute(select(registry.c.document).where(here)).scalar()
+        links = json.loads(vehicle).get("links", {}).values() if vehicle is not None and kind == "link" else ()
+        if entry_id == flight.vehicle_id if kind == "vehicle" else entry_id in links:
+            raise ConflictError(f"{kind} {entry_id} is in use by flight {flight.id}, which has not ended")
+
+
 def _entry(row: RowMapping) -> Entry:
     values: dict[str, Any] = {str(key): value for key, value in row.items()}
-    return Entry(**{**values, "document": json.loads(values["document"])})
+    document = load_for_list(values["document"], f"{values['kind']} {values['id']}") or {}
+    return Entry(**{**values, "document": document})

@@ -18,6 +18,7 @@ from gcs.store.flights import FlightStore
 from gcs.store.missions import Clock, MissionStore
 from gcs.store.planning_queue import PlanningQueue
 from gcs.store.registries import RegistryStore
+from gcs.store.safety_copy import back_up
 
 
 class Store:
@@ -37,6 +38,7 @@ class Store:
     ) -> None:
         now = clock or (lambda: datetime.now(UTC))
         make_id = new_id or (lambda: uuid.uuid4().hex)
+        self.url = url
         self.database = Database(url, lock_timeout_s=lock_timeout_s)
         self.database.migrate()
         self.missions = MissionStore(self.database, now, make_id)
@@ -49,8 +51,8 @@ class Store:
         self.database.check()
 
     def backup_to(self, path: str | Path) -> None:
-        """A consistent copy of a SQLite database; see `Database.backup_to`."""
-        self.database.backup_to(path)
+        """A safety copy; see `gcs.store.safety_copy.back_up`."""
+        back_up(self.url, path)
 
     def close(self) -> None:
         """Give back every connection."""

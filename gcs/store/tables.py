@@ -19,6 +19,7 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    text,
 )
 
 metadata = MetaData(
@@ -34,6 +35,8 @@ metadata = MetaData(
 _Number = BigInteger().with_variant(Integer, "sqlite")
 _Time = String(32)
 _Id = String(64)
+# In the order of its characters, whatever the locale of the database.
+_Sorted = String(64).with_variant(String(64, collation="C"), "postgresql")
 
 missions = Table(
     "missions",
@@ -65,7 +68,18 @@ mission_versions = Table(
     # Who is planning it, and until when that may be believed.
     Column("owner", _Id),
     Column("lease_utc", _Time),
+    # What lists show of the plan, so that they need not read it.
+    Column("mission_time_s", Double),
+    Column("handover_count", Integer),
+    # The mission's number in its latest version (null in the others), and the same until it is archived: a page is
+    # a stretch of one of these indexes, however long the history is.
+    Column("latest_number", _Number),
+    Column("listed_number", _Number),
     UniqueConstraint("mission_id", "version"),
+    Index("uq_mission_versions_latest_number", "latest_number", unique=True),
+    Index("uq_mission_versions_listed_number", "listed_number", unique=True),
+    Index("ix_mission_versions_status_latest_number", "status", "latest_number"),
+    Index("ix_mission_versions_status_listed_number", "status", "listed_number"),
     Index("ix_mission_versions_status_number", "status", "number"),
     Index("ix_mission_versions_plan_sha256", "plan_sha256"),
 )
@@ -86,7 +100,7 @@ registry = Table(
     "registry",
     metadata,
     Column("kind", String(16), primary_key=True),
-    Column("id", _Id, primary_key=True),
+    Column("id", _Sorted, primary_key=True),
     Column("document", Text, nullable=False),
     Column("revision", Integer, nullable=False),
     Column("created_utc", _Time, nullable=False),
@@ -107,9 +121,19 @@ flights = Table(
     Column("created_utc", _Time, nullable=False),
     Column("changed_utc", _Time, nullable=False),
     Column("ended_utc", _Time),
+    # Which vehicle it is by its own word, once it was asked; and the service whose flight this is.
+    Column("vehicle_identity", String(128)),
+    Column("owner", _Id),
     ForeignKeyConstraint(["mission_id", "version"], ["mission_versions.mission_id", "mission_versions.version"]),
     Index("ix_flights_mission_id", "mission_id"),
     Index("ix_flights_vehicle_id", "vehicle_id"),
+    Index(
+        "uq_flights_running_vehicle_identity",
+        "vehicle_identity",
+        unique=True,
+        sqlite_where=text("ended_utc IS NULL"),
+        postgresql_where=text("ended_utc IS NULL"),
+    ),
 )
 
 flight_events = Table(
@@ -121,4 +145,11 @@ flight_events = Table(
     Column("state", String(32), nullable=False),
     Column("utc", _Time, nullable=False),
     Column("document", Text, nullable=False),
+)
+
+write_probe = Table(
+    "write_probe",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("checked_utc", _Time),
 )

@@ -80,6 +80,7 @@ class ArduPilotProfile(AutopilotProfile):
     resumes_offboard_unasked = False
     target_runs_on = True
     filters_station_ids = True
+    estimator_message_id = mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT
     rally_frame = RELATIVE
     fence_actions = MappingProxyType(
         {

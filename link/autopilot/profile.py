@@ -91,6 +91,8 @@ class AutopilotProfile(abc.ABC):
     """Moves its target on along the setpoint's velocity until the next one comes."""
     filters_station_ids: bool
     """Can be told by parameters which ground stations' system ids it hears, as a range or one alone."""
+    estimator_message_id: int
+    """The message that tells how well its estimator knows its place."""
     rally_frame: int
     """MAV_FRAME in which its rally points are written."""
     fence_actions: Mapping[int, str]

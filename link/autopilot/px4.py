@@ -71,6 +71,7 @@ class Px4Profile(AutopilotProfile):
     resumes_offboard_unasked = True
     target_runs_on = False
     filters_station_ids = False
+    estimator_message_id = mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
     rally_frame = AMSL
     fence_actions = MappingProxyType({0: "nothing", 1: "a text", 2: "hold", 3: "return", 4: "terminate", 5: "land"})
     harmless_fence_actions = frozenset({0, 1})

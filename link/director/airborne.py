@@ -11,18 +11,21 @@ control, else back along the path flown, handing over backwards, to land at the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from gcs.flight import EventKind, FlightState, TransitionError
+from gcs.flight import FlightState, TransitionError
+from gcs.operator_commands import SETTLE_LIMIT_S, TRANSIT_OVERTIME_S, overtime_s
 from link.director.diversion import Diversion
 from link.director.guidance import Course, Guidance, Hold, HoldReason
 from link.director.landing import Landing
 from link.director.link_loss import LostC2Link
-from link.director.plan_exchange import STANDING_M, NextPlan, time_and_leg
+from link.director.operation.plan_change import PlanChange
+from link.director.plan_exchange import NextPlan
 from link.handover.handover_chain import HandoverChain
 from link.monitors.battery import BatteryWatch
 from link.monitors.control_loss import ControlLossMonitor
 from link.monitors.latency_compensation import LatencyCompensation
+from link.monitors.motion import MotionWatch
 from link.monitors.range_margin import RangeWatch
 from link.monitors.tracking import LagMonitor
 from link.monitors.uplink import UplinkMonitor
@@ -31,20 +34,8 @@ from link.session.context import FlightContext
 NOT_FOLLOWING_S = 10.0
 ARRIVED_M = 1.5
 SLOW_M_S = 0.7
-SETTLE_WAIT_S = 20.0
-AT_PLACE_M = 0.005
-"""Standing this close to where a new plan begins is standing there."""
 CREEP = 0.02
 """Rate, at least, at which a return or a wait before a limit is flown when the lag monitor asks for a stop."""
-
-
-@dataclass(frozen=True)
-class PlanToCome:
-    """A plan to go on by from rest, its time then, and the time of the present plan to go back to first."""
-
-    plan: NextPlan
-    join_s: float
-    leave_s: float
 
 
 class Airborne:
@@ -61,17 +52,20 @@ class Airborne:
         self.lag = LagMonitor(timeline, vehicle, self.latency, speedup=flight.request.speedup)
         self.uplink = UplinkMonitor(timeline, vehicle, control)
         self.range = RangeWatch(flight)
+        self.motion = MotionWatch(flight, self.lag)
         self.battery = BatteryWatch(timeline, vehicle)
         self.control_loss = ControlLossMonitor(flight, self.chain, self.lag, self.uplink, self.range)
         self.guidance = Guidance(flight, self.chain, self.latency, self.lag)
         self.diversion = Diversion(flight, self.chain, self.guidance)
         self.lost_link = LostC2Link(flight, self.chain)
-        self.landing = Landing(flight)
+        self.landing = Landing(flight, self.chain, self.guidance, self.lost_link)
         self.attended = True
         self.held = Hold(HoldReason.COMMANDED, FlightState.CRUISE)
         """Why the flight stands, while it does."""
         self._since_s = 0.0
-        self._upcoming: PlanToCome | None = None
+        self._at_end_s = math.inf
+        """When a return came to its end and was not settled; infinite before."""
+        self.change = PlanChange(flight, self.chain, self.guidance)
 
     # -- beginning ----------------------------------------------------------------------------------------------------
 
@@ -82,7 +76,9 @@ class Airborne:
     def _transit_to(self, time_s: float, reason: str) -> None:
         """Straight to a time of the plan, from where the vehicle is."""
         here = self._vehicle.position_enu_m()
-        assert here is not None
+        if here is None:
+            self._lose_link("where the vehicle is is not known", pin=False)
+            return
         self.guidance.transit(here, time_s)
         self._control.last_setpoint_s = self._timeline.now_s
         self.control_loss.begin()
@@ -92,7 +88,7 @@ class Airborne:
 
     def _become(self, state: FlightState, reason: str) -> None:
         self._timeline.become(state, reason)
-        self._since_s = self._timeline.now_s
+        self._since_s, self._at_end_s = self._timeline.now_s, math.inf
 
     @property
     def _state_s(self) -> float:
@@ -108,6 +104,7 @@ class Airborne:
         self.latency.update(dt_s)
         self.uplink.update()
         self.range.update()
+        self.motion.update()
         self.battery.update(self.guidance.left_s)
         if state is FlightState.LAPSED:
             self._link_lost()
@@ -123,25 +120,43 @@ class Airborne:
             FlightState.LANDING: self._landing,
         }
         handlers[state](dt_s)
+        if state in (FlightState.CRUISE, FlightState.RETURNING) and self._timeline.state is state:
+            self._end_in_time(state)
+
+    def _end_in_time(self, state: FlightState) -> None:
+        """No way goes on for ever."""
+        limit_s = overtime_s(self._flight.plan.mission_time_s)
+        if self._state_s <= limit_s:
+            return
+        reason = f"{state} is not over after {self._state_s:.0f} s"
+        if state is FlightState.CRUISE:
+            self.contingency(reason)
+        else:
+            self._lose_link(reason, pin=False)
+            self.lost_link.last_resort()
 
     @property
     def _settled(self) -> bool:
-        tracking, position = self.lag.tracking, self._vehicle.monitor.position
-        if tracking is None or position is None:
-            return False
-        return tracking.error_m <= ARRIVED_M and position.speed_m_s <= SLOW_M_S
+        return self.lag.settled(ARRIVED_M, SLOW_M_S)
 
     @property
     def _there(self) -> bool:
-        """At the end of a return, as far as can be known: a vehicle that does not tell its place lands where it is."""
-        return self._settled or self.lag.blind
+        """At the end of a return, as far as can be known: a vehicle that does not tell its place lands where it is.
+
+        One that does not settle lands too, after a while.
+        """
+        if self._settled or self.lag.blind:
+            return True
+        if math.isinf(self._at_end_s):
+            self._at_end_s = self._timeline.now_s
+        return self._timeline.now_s - self._at_end_s > SETTLE_LIMIT_S
 
     # -- is it still ours ---------------------------------------------------------------------------------------------
 
     def _still_ours(self) -> bool:
         """Whether the vehicle follows our stream as far as can be known; False after acting on it not doing so."""
         guidance = self.guidance
-        loss = self.control_loss.judge(guidance.reference.time_s, on_plan=guidance.on_plan, landing=self.landing.seen)
+        loss = self.control_loss.judge(guidance.reference.time_s, on_plan=guidance.on_plan, landing=self.landing.alone)
         if loss is None:
             return True
         if loss.ended is not None:
@@ -154,7 +169,7 @@ class Airborne:
         """Fall silent."""
         guidance = self.guidance
         self._timeline.alarm("lapse", reason=reason)
-        self._upcoming = None
+        self.change.to_come = None
         self.chain.forget()
         self.lag.forget()
         self.lost_link.begin(guidance.reference.time_s if guidance.on_plan else guidance.join_s, pin=pin)
@@ -173,30 +188,32 @@ class Airborne:
         timeline, guidance = self._timeline, self.guidance
         guidance.along_line(dt_s, guidance.rate_followed)
         if not guidance.reference.finished:
+            if self._state_s > overtime_s(guidance.reference.curve.duration_s, TRANSIT_OVERTIME_S):
+                self.contingency(f"the transit is not over after {self._state_s:.0f} s")
             return
         if not self._settled:
-            if self._state_s < guidance.reference.curve.duration_s + SETTLE_WAIT_S:
+            if self._state_s < guidance.reference.curve.duration_s + SETTLE_LIMIT_S:
                 return
             timeline.alarm("not settled after the transit")
         first = timeline.launched_s is None
         # This tick sent the point at rest; at the first launch that is the plan's sample at T+0.
-        guidance.join_plan(1.0 if first else 0.0)
+        guidance.join_plan(1.0 if first and guidance.join_s <= 0.0 else 0.0)
         if first:
-            timeline.launched_s = timeline.now_s
+            # After a lost C2 link before T+0 the plan may be joined further on, from rest.
+            timeline.launched_s = timeline.now_s - guidance.join_s
         self._become(FlightState.CRUISE, "T+0" if first else "back on the path")
 
     def _cruise(self, dt_s: float) -> None:
         timeline, guidance = self._timeline, self.guidance
         rate = guidance.rate_followed
         if self.lag.blind:
-            timeline.alarm(HoldReason.BLIND.value)
             self._hold(HoldReason.BLIND)
-        elif self.lag.lost:
+        elif self.lag.lost or (guidance.reference.finished and self.lag.away_s > SETTLE_LIMIT_S):
             self._hold(HoldReason.NOT_FOLLOWING)
         guidance.along_plan(dt_s, rate if timeline.state is FlightState.CRUISE else 0.0)
         if timeline.state is not FlightState.CRUISE:
             return
-        if guidance.reference.finished and not self.chain.moving:
+        if guidance.reference.finished and not self.chain.moving and self.lag.near:
             self._become(FlightState.ARRIVED, "end of the plan")
         elif guidance.at_limit and not guidance.reference.finished:
             self._hold_at_limit()
@@ -217,8 +234,12 @@ class Airborne:
 
     def _holding(self, dt_s: float) -> None:
         held, guidance = self.held, self.guidance
-        if self._upcoming is not None:
-            self._go_back(dt_s, self._upcoming)
+        if self.change.to_come is not None:
+            changed = self.change.go_back(dt_s)
+            if changed:
+                self._become(FlightState.CRUISE, "on by a new plan")
+            elif changed is False:
+                self._since_s = self._timeline.now_s
             return
         if held.reason is HoldReason.BLIND and not self.lag.blind:
             self._become(held.resumes, "its position is heard again")
@@ -237,28 +258,14 @@ class Airborne:
         limit_s = self._request.wait_for_station_s if waiting else self._request.hold_limit_s
         if (held.reason is HoldReason.COMMANDED and self.attended) or self._state_s < limit_s:
             return
-        if backwards:
+        if backwards and not waiting:
+            self._become(FlightState.RETURNING, f"held for {self._state_s:.0f} s, {held.text}")
+        elif backwards:
             # The way back is shut too: the autopilot's failsafe return is what is left.
             self._lose_link(f"no way back: {held.text}", pin=False)
             self.lost_link.last_resort()
         else:
             self.contingency(f"held for {self._state_s:.0f} s, {held.text}")
-
-    def _go_back(self, dt_s: float, upcoming: PlanToCome) -> None:
-        """To the place on the path where the plan to come begins at rest, and on by it."""
-        guidance = self.guidance
-        # Forward but a little, where the place was told a millimetre ahead of here; else back.
-        guidance.along_plan(dt_s, CREEP, until_s=upcoming.leave_s)
-        reference = guidance.reference
-        there = abs(reference.way_m(reference.time_s, upcoming.leave_s)) < AT_PLACE_M
-        if not there or not reference.stands or self.chain.moving:
-            return
-        self._upcoming = None
-        try:
-            self._exchange(upcoming.plan, upcoming.join_s)
-        except TransitionError as refusal:
-            self._timeline.alarm("the new plan no longer fits", reason=str(refusal))
-            self._since_s = self._timeline.now_s
 
     def _returning(self, dt_s: float) -> None:
         guidance = self.guidance
@@ -289,46 +296,47 @@ class Airborne:
         if self._flight.plan.mission.options.on_arrival == "hold":
             if self._state_s >= self._request.hold_limit_s:
                 self._land(FlightState.COMPLETED, f"held for {self._state_s:.0f} s at the destination")
-        elif self._state_s >= self._request.arrival_hold_s + (0.0 if self._settled else SETTLE_WAIT_S):
+        elif self._state_s >= self._request.arrival_hold_s + (0.0 if self._settled else SETTLE_LIMIT_S):
             self._land(FlightState.COMPLETED, "at the destination")
 
     # -- landing ------------------------------------------------------------------------------------------------------
 
-    def _land(self, outcome: FlightState, reason: str) -> None:
-        self.landing.begin(outcome)
+    def _land(self, outcome: FlightState, reason: str, *, streams: bool = True, by: str = "") -> None:
+        good = outcome in (FlightState.COMPLETED, FlightState.LANDED)
+        spoiled = good and self.motion.spoiled
+        self.landing.begin(FlightState.CONTINGENCY if spoiled else outcome, streams=streams, reason=by)
         self._become(FlightState.LANDING, reason)
 
     def _landing(self, dt_s: float) -> None:
-        if self.landing.down:
-            self._become(self.landing.outcome, "landed and disarmed")
-            return
-        self.landing.ask()
-        if not self.landing.seen:
-            # Until it shows LAND the vehicle must not miss us.
-            self.guidance.along_line(dt_s, 0.0)
-        if self.landing.overdue:
-            self._become(FlightState.LOST, "no landing was seen")
+        follows = self.landing.tick(dt_s)
+        if follows is not None and follows[0] is FlightState.LAPSED:
+            self._lose_link(follows[1], pin=False)
+        elif follows is not None:
+            self._become(*follows)
 
     # -- contingency --------------------------------------------------------------------------------------------------
 
     def contingency(self, reason: str) -> None:
         """Fly the contingency in force."""
         state = self._timeline.state
-        self._upcoming = None
+        self.change.to_come = None
         self._timeline.alarm("contingency", reason=reason)
         if state is FlightState.LAPSED:
             self.lost_link.last_resort()
+        elif state is FlightState.LANDING:
+            self.landing.outcome = FlightState.CONTINGENCY
         elif state is FlightState.ARRIVED or self.guidance.course is Course.TRANSIT:
             self._land(FlightState.CONTINGENCY, reason)
         elif state in (FlightState.CRUISE, FlightState.HOLDING):
-            self.diversion.choose()
+            if self.guidance.on_plan:
+                self.diversion.choose()
             self._become(FlightState.RETURNING, reason)
 
     # -- operator commands --------------------------------------------------------------------------------------------
 
     def hold(self) -> None:
         """An operator says hold: stop on the path and stay."""
-        self._upcoming = None
+        self.change.to_come = None
         if self._timeline.state is FlightState.HOLDING:
             self.held = replace(self.held, reason=HoldReason.COMMANDED, detail="")
         else:
@@ -336,7 +344,7 @@ class Airborne:
 
     def resume(self) -> None:
         """An operator says resume: on from a hold; after a lost C2 link back in, by a transit from where it is."""
-        self._upcoming = None
+        self.change.to_come = None
         if self._timeline.state is FlightState.LAPSED:
             self.lost_link.resume()
         else:
@@ -348,48 +356,42 @@ class Airborne:
         For a flight that stands, ``join_s`` is the plan's time of standing, and ``leave_s`` the time of the present
         plan to go back to first. Raises `TransitionError`, and changes nothing, where the plan does not fit the flight.
         """
-        guidance, reference = self.guidance, self.guidance.reference
         holding = self._timeline.state is FlightState.HOLDING
-        if not guidance.on_plan or (holding and self.held.resumes is not FlightState.CRUISE):
+        if not self.guidance.on_plan or (holding and self.held.resumes is not FlightState.CRUISE):
             raise TransitionError("the flight is not on its way along the plan")
-        if self.chain.moving:
-            raise TransitionError("control is being moved just now; say it again in a moment")
-        if join_s is None:
-            self._exchange(upcoming, None)
-            return
-        if not holding or not reference.stands:
-            raise TransitionError("the new plan begins at rest, and the flight does not stand")
-        leave_s = reference.time_s if leave_s is None else leave_s
-        if leave_s > reference.time_s and reference.way_m(reference.time_s, leave_s) > STANDING_M:
-            raise TransitionError("the new plan begins at rest further on than the flight stands")
-        time_and_leg(upcoming, guidance.stream, leave_s, self._flight.plan.station_ids[self.chain.leg], join_s)
-        self._upcoming = PlanToCome(upcoming, join_s, leave_s)
-        self.held = replace(self.held, reason=HoldReason.NEXT_PLAN, detail="")
-        self._since_s = self._timeline.now_s
-
-    def _exchange(self, upcoming: NextPlan, join_s: float | None) -> None:
-        flight, guidance = self._flight, self.guidance
-        station, before = flight.plan.station_ids[self.chain.leg], flight.plan.plan_sha256
-        time_s, leg = time_and_leg(upcoming, guidance.stream, guidance.reference.time_s, station, join_s)
-        flight.plan = upcoming.plan
-        self.chain.adopt(leg)
-        guidance.take_plan(upcoming, time_s)
-        self._timeline.emit(
-            EventKind.REPLANNED,
-            plan_sha256=flight.plan.plan_sha256,
-            before=before,
-            plan_s=round(time_s, 3),
-            mission_time_s=flight.plan.mission_time_s,
-            handovers_done=leg,
-        )
-        if self._timeline.state is FlightState.HOLDING:
+        if not self.change.adopt(upcoming, join_s, leave_s, stands=holding):
+            self.held = replace(self.held, reason=HoldReason.NEXT_PLAN, detail="")
+            self._since_s = self._timeline.now_s
+        elif holding:
             self._become(FlightState.CRUISE, "on by a new plan")
 
-    def land(self) -> None:
-        """An operator says land: where the vehicle is."""
-        state = self._timeline.state
-        if state is not FlightState.LANDING:
-            self._land(FlightState.COMPLETED if state is FlightState.ARRIVED else FlightState.CONTINGENCY, "word")
+    def land(self, reason: str, outcome: FlightState | None = None) -> None:
+        """An operator says land: where the vehicle is, at once, whatever the flight is doing."""
+        state, guidance = self._timeline.state, self.guidance
+        if state is FlightState.LANDING:
+            return
+        returning = state is FlightState.RETURNING or self._held_on_return
+        if outcome is None:
+            outcome = FlightState.COMPLETED if state is FlightState.ARRIVED else FlightState.LANDED
+            if returning or state is FlightState.LAPSED:
+                outcome = FlightState.CONTINGENCY
+        streams = state not in (FlightState.TAKEOFF, FlightState.LAPSED)
+        if not streams:
+            # Nothing of a stream has been set up, or it has ended.
+            self.change.to_come = None
+            here = self._vehicle.position_enu_m()
+            if state is FlightState.TAKEOFF and not self._vehicle.profile.climbs_by_command and here is not None:
+                guidance.transit(here, 0.0, stay=True)
+                streams = True
+            self._control.last_setpoint_s = self._timeline.now_s
+            self.control_loss.begin()
+            self.uplink.restart()
+            self.lag.forget()
+        self._land(outcome, f"land: {reason}", streams=streams, by=f"by command ({reason})")
+
+    @property
+    def _held_on_return(self) -> bool:
+        return self._timeline.state is FlightState.HOLDING and self.held.resumes is FlightState.RETURNING
 
     def authorise(self, until_s: float) -> None:
         """The flight may go on up to a time of the plan."""

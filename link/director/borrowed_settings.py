@@ -2,6 +2,9 @@
 
 Everything is read before it is changed and read back after; what was there before is put back on the ground, disarmed,
 however the flight ended, but never when the vehicle is lost: then it stays as it is, and that is said.
+
+Each change is in the journal before it is made (`link.session.changes`), and is struck from it when it has been given
+back: a flight that dies leaves the note, and the next one begins by giving back what it finds noted.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from gcs.plan import Place, Plan
 from link.dialect import mavlink
 from link.errors import MissionItemError
 from link.handover import gcs_ids
+from link.handover.change_note import ChangeNote
 from link.handover.gcs_ids import GcsIdManager, GcsIds
 from link.microservices.mission_client import MissionClient
 from link.microservices.mission_download import MissionDownload, MissionTransfer
@@ -25,13 +29,15 @@ from link.microservices.parameter import ParameterClient
 from link.microservices.parameter_value import Parameter
 from link.preflight import geofence
 from link.preflight.check import Check, Level
+from link.session.changes import ChangeJournal
 from link.session.context import FlightContext
-from link.session.procedure import Steps, wait_until
+from link.session.procedure import Refused, Steps, wait_until
 from link.session.request import HandoverWay
 
 MOST_RALLY_POINTS = 30
 """PX4 keeps 32."""
 HEARD_S = 2.0
+WRITABLE = "make room, or give access to the folder of the journal"
 CAPABILITIES = {
     RALLY: mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY,
     FENCE: mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE,
@@ -50,7 +56,13 @@ def _covered(plan: Plan, enu_m: NDArray[np.float64]) -> bool:
 class BorrowedSettings:
     """What is borrowed for one flight. The steps want a station in control and the vehicle disarmed."""
 
-    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
+    def __init__(
+        self,
+        flight: FlightContext,
+        parameters: ParameterClient,
+        missions: MissionClient,
+        journal: ChangeJournal | None = None,
+    ) -> None:
         self._flight = flight
         self._request = flight.request
         self._timeline = flight.timeline
@@ -68,10 +80,20 @@ class BorrowedSettings:
         """Rally points the vehicle holds now, by name, in the plan's plane."""
         self._values: Values = {}
         self._transfer: MissionTransfer | None = None
+        self.note = ChangeNote(flight, self._parameters, missions, journal)
 
     def remember(self, values: Values, before: GcsIds) -> None:
-        """GCS ids as they were, where they have to be changed before anything can be asked."""
-        self._values, self.gcs_ids = values, before
+        """GCS ids as they were, where they have to be changed before anything can be asked.
+
+        Raises `Refused` where that cannot be noted.
+        """
+        self._values = values
+        if any(one.gcs_ids for one in self.note.left_by_others()):
+            return  # the lock is an earlier flight's, and its note says what was there before
+        problem = self.note.keep(gcs_ids=gcs_ids.named(before, self._values))
+        if problem:
+            raise Refused(problem)
+        self.gcs_ids = before
 
     # -- GCS ids ------------------------------------------------------------------------------------------------------
 
@@ -95,6 +117,10 @@ class BorrowedSettings:
             return [Check("ownership", Level.FAILURE, told, None, "MAV_GCS_SYSID_HI (ArduPilot 4.7)", fix=fix)]
         first = control.system_ids[self._flight.plan.station_ids[0]]
         after = before.alone(first) if way == HandoverWay.PARAMETER else gcs_ids.wanted(used, before)
+        if self.gcs_ids is None:
+            problem = self.note.keep(gcs_ids=gcs_ids.named(before, self._values))
+            if problem:
+                return [Check("ownership", Level.ERROR, problem, fix=WRITABLE)]
         self.gcs_ids = self.gcs_ids or before
         done = yield from gcs_ids.apply(self._flight, self._parameters, values, before, after)
         if not done:
@@ -226,10 +252,16 @@ class BorrowedSettings:
         timeline = self._timeline
         if parameter.value == value:
             return True
+        noted = self.note.changes.settings
+        if parameter.name not in noted:
+            settings = {**noted, parameter.name: (parameter.value, value)}
+            if self.note.keep(settings=settings):
+                return False
+        # From now on it may have been taken, answered or not.
+        self.settings.setdefault(parameter.name, parameter.value)
         setting = self._parameters.set(parameter.name, value, self._control.in_force)
         yield from wait_until(timeline, lambda: setting.finished, 30.0)
         if setting.confirmed:
-            self.settings.setdefault(parameter.name, parameter.value)
             timeline.emit(EventKind.PARAMETER, name=parameter.name, before=parameter.value, after=value)
         return setting.confirmed
 
@@ -266,21 +298,29 @@ class BorrowedSettings:
     def _put(self, name: str, kind: int, items: Sequence[MissionItem], held: tuple[MissionItem, ...]) -> Steps[Check]:
         """Upload a list over the one held, which is kept to be put back."""
         traits = self._vehicle.profile.mission
+        noted = self.note.changes.lists
+        before, _ = noted.get(kind, (held, ()))
+        problem = self.note.keep(lists={**noted, kind: (before, tuple(items))})
+        if problem:
+            return Check(name, Level.ERROR, problem, fix=WRITABLE)
+        # From now on, however this ends: broken off in its middle it leaves half a list.
+        new = kind not in self.lists
+        self.lists.setdefault(kind, held)
         failed = yield from self._run(MissionUpload, kind, items, traits=traits)
         assert self._transfer is not None
         failure = self._transfer.failure
         if failure is None:
-            self.lists.setdefault(kind, held)
-            before = f"; the {len(held)} it held come back after the flight" if held else ""
-            return Check(name, Level.PASS, f"{len(items)} items uploaded and read back{before}", len(items))
+            back = f"; the {len(held)} it held come back after the flight" if held else ""
+            return Check(name, Level.PASS, f"{len(items)} items uploaded and read back{back}", len(items))
         unknown = failure.vehicle_holds == "unknown"
         if unknown:
             now = yield from self._download(kind)
             unknown = isinstance(now, str) or bool(difference(held, now, traits, kind))
         if unknown:
-            self.lists.setdefault(kind, held)
             fix = "try again over a better link; look at what the vehicle holds before anybody flies it"
             return Check(name, Level.ERROR, f"{failed}; nobody knows what the vehicle holds now", None, fix=fix)
+        if new:
+            del self.lists[kind]
         fix = "known to the crew: its own return goes where it was set to go before"
         return Check(name, Level.WARNING, f"{failed}; the vehicle keeps what it held", len(held), fix=fix)
 
@@ -292,7 +332,7 @@ class BorrowedSettings:
         if self.gcs_ids is not None:
             left.append("ownership")
         if left:
-            self._timeline.alarm("the vehicle keeps what this flight changed", changed=left)
+            self._timeline.alarm("the vehicle keeps what this flight changed", changed=left, fix=self.note.remedy)
         self.gcs_ids, self.lists, self.settings = None, {}, {}
 
     def give_back(self) -> Steps[None]:
@@ -309,13 +349,32 @@ class BorrowedSettings:
             if now is not None and not now.hears(control.own_id):
                 control.grant(control.in_force.station_id, "not heard under its own id", as_vehicle=True)
         settings, self.settings = self.settings, {}
+        kept_settings = []
         for name, value in reversed(settings.items()):
             setting = self._parameters.set(name, value, control.in_force)
             yield from wait_until(timeline, lambda s=setting: s.finished, 30.0)  # type: ignore[misc]
             if setting.confirmed:
                 timeline.emit(EventKind.PARAMETER, name=name, before=None, after=value)
             else:
-                timeline.alarm("parameter not put back", name=name, value=value)
+                kept_settings.append(name)
+                timeline.alarm("parameter not put back", name=name, value=value, fix=self.note.remedy)
+        kept_lists = yield from self._lists_back()
+        owned = False
+        if self.gcs_ids is not None:
+            before, self.gcs_ids = self.gcs_ids, None
+            # Not knowing, every value is written.
+            unlike = GcsIds(0, None if before.high is None else -1, before.options ^ gcs_ids.ENFORCE)
+            known = now if now is not None else unlike
+            done = yield from gcs_ids.apply(self._flight, self._parameters, self._values, known, before)
+            if not done or now is None:
+                owned = True
+                told = {"low": before.low, "high": before.high, "options": before.options}
+                timeline.alarm("ownership not restored", **told, fix=self.note.remedy)
+        self.note.strike(kept_settings, kept_lists, owned=owned)
+
+    def _lists_back(self) -> Steps[list[int]]:
+        """Put lists back; the kinds that stay changed."""
+        kept = []
         lists, self.lists = self.lists, {}
         for kind, held in lists.items():
             traits = self._vehicle.profile.mission
@@ -324,15 +383,10 @@ class BorrowedSettings:
             else:
                 failed = yield from self._run(MissionClear, kind, traits=traits)
             if failed:
-                timeline.alarm(f"{TYPE_NAMES[kind]} not put back", count=len(held), reason=failed)
-        if self.gcs_ids is not None:
-            before, self.gcs_ids = self.gcs_ids, None
-            # Not knowing, every value is written.
-            unlike = GcsIds(0, None if before.high is None else -1, before.options ^ gcs_ids.ENFORCE)
-            known = now if now is not None else unlike
-            done = yield from gcs_ids.apply(self._flight, self._parameters, self._values, known, before)
-            if not done or now is None:
-                timeline.alarm("ownership not restored", low=before.low, high=before.high, options=before.options)
+                kept.append(kind)
+                told = {"count": len(held), "reason": failed, "fix": self.note.remedy}
+                self._timeline.alarm(f"{TYPE_NAMES[kind]} not put back", **told)
+        return kept
 
     def _use_a_link_that_is_heard(self) -> None:
         vehicle, control = self._vehicle, self._control

@@ -5,8 +5,9 @@ handovers and the director that takes the flight from open links to a disarmed v
 real time and sockets, a test virtual time and a simulator.
 
 Everything happens on one grid of ticks, ``rate_hz`` of them a second. A tick that is missed is skipped, never caught
-up: no setpoint is sent later than one tick after its time. When something in here fails, nothing is sent any more,
-heartbeats included: silence is what the autopilot's failsafe understands.
+up: no setpoint is sent later than one tick after its time. When something in here fails, the tick holds and an alarm
+says so (`link.session.containment`); three ticks in a row and nothing is sent any more, heartbeats included: silence is
+what the autopilot's failsafe understands.
 """
 
 from __future__ import annotations
@@ -14,22 +15,31 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError, check_operator_command
+from gcs.flight import EventKind, FlightEvent, FlightState, OperatorCommand, TransitionError
+from gcs.operator_commands import Effect, check_operator_command
 from link.clock import TickGrid, TickLateness
 from link.dialect import mavlink
 from link.director.airborne import Airborne
 from link.director.launch import Launch
 from link.director.link_upkeep import LinkUpkeep
+from link.director.operation.ground_stop import stop_on_ground
+from link.director.operation.summary import summary
 from link.director.plan_exchange import NextPlan, make_ready
 from link.director.progress import Announcer
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
+from link.monitors.evidence import EvidenceWatch
+from link.monitors.motion import STREAMED
+from link.monitors.one_vehicle import Claim, OneVehicle
+from link.monitors.telemetry_upkeep import TelemetryUpkeep
+from link.session.changes import ChangeJournal
+from link.session.containment import Containment
 from link.session.context import FlightContext
+from link.session.decoders import decoders_of, sharing_of
 from link.session.procedure import Refused, Steps
 from link.session.request import FlightRequest
 from link.session.timeline import plain
 from link.telemetry.link_path import LinkPath
-from link.transport.url import parse_url
 from link.wire.codec import StationCodec
 
 OnFrame = Callable[[float, bytes], None]
@@ -40,7 +50,8 @@ class FlightCore:
 
     ``codecs`` gives each station its codec (default: unsigned, the plan's system ids). ``now_s`` is the flight's clock
     at the start, ``epoch_unix_s`` what it is in UTC at 0. ``on_frame(now_s, frame)`` is told every frame sent and every
-    message heard, in order. A core is used by one thread.
+    message heard, in order; ``journal`` keeps what is changed on the vehicle, ``claim`` holds it against other
+    programs. A core is used by one thread.
     """
 
     def __init__(
@@ -51,25 +62,30 @@ class FlightCore:
         now_s: float = 0.0,
         epoch_unix_s: float = 0.0,
         on_frame: OnFrame | None = None,
+        journal: ChangeJournal | None = None,
+        claim: Claim | None = None,
     ) -> None:
         own = {station: StationCodec(system_id) for station, system_id in request.system_ids.items()}
         self.codecs = own if codecs is None else dict(codecs)
         self.context = flight = FlightContext.begin(request, self.codecs, now_s=now_s, epoch_unix_s=epoch_unix_s)
         self._timeline, self._vehicle, self._control = flight.timeline, flight.vehicle, flight.control
-        self._sharing = _sharing(request)
-        self._decoders = _decoders(self._sharing, self.codecs)
+        self._sharing = sharing_of(request)
+        self._decoders = decoders_of(self._sharing, self.codecs)
         send, encoding = flight.control.gate.send, flight.vehicle.profile.parameter_encoding
         self.parameters = ParameterClient(send, flight.vehicle.system_id, encoding)
         self.missions = MissionClient(send)
-        self.launch = Launch(flight, self.parameters, self.missions)
+        self.one_vehicle = OneVehicle(flight, self.parameters, claim)
+        self.launch = Launch(flight, self.parameters, self.missions, self.one_vehicle, journal)
         self.airborne = Airborne(flight)
-        self.links = LinkUpkeep(flight, self.airborne)
-        self.announcer = Announcer(flight, self.airborne)
+        self.links, self.announcer = LinkUpkeep(flight, self.airborne), Announcer(flight, self.airborne)
+        self.evidence, self.upkeep = EvidenceWatch(flight), TelemetryUpkeep(flight, self.airborne.lag)
+        self.containment = Containment(flight.timeline)
         self.lateness = TickLateness()
-        self.finished = False
-        self._on_frame = on_frame
+        self.finished, self._on_frame = False, on_frame
         self._grid = TickGrid(request.rate_hz, now_s)
         self._procedure: Steps[None] | None = self.launch.run()
+        self._stopping = False
+        """Whether the flight is being ended on the ground."""
         self._restoring: Steps[None] | None = None
         self._streams: Steps[None] | None = None
         self._streamed: tuple[int, LinkPath] | None = None
@@ -89,19 +105,24 @@ class FlightCore:
     def receive(self, station_id: str, data: bytes, now_s: float, url: str | None = None) -> None:
         """Take what came in over a station's link, or the one of its links named. Never raises for what is in it."""
         timeline, monitor = self._timeline, self._vehicle.monitor
-        timeline.now_s = max(timeline.now_s, now_s)
+        timeline.now_s = self._vehicle.now_s = max(timeline.now_s, now_s)
         url = url or monitor.links[station_id].paths[0].url
-        for message in self._decoders[url].decode(data):
+        decoder = self._decoders[url]
+        for message in decoder.decode(data):
             if self._on_frame is not None:
                 self._on_frame(timeline.now_s, bytes(message.get_msgbuf()))
-            heard = [monitor.receive(timeline.now_s, station, message, url) for station in self._sharing[url]]
-            if any(heard):
-                self._pass_on(message)
+            with self.containment.of(f"taking a {message.get_type()}"):
+                self.one_vehicle.heard(message.get_srcSystem(), message.get_srcComponent(), message.get_msgbuf())
+                heard = [monitor.receive(timeline.now_s, station, message, url) for station in self._sharing[url]]
+                if any(heard):
+                    self._pass_on(message)
+        self.one_vehicle.reflected(decoder)
 
     def _pass_on(self, message: Any) -> None:
         """An answer of the vehicle, to whoever asked."""
         kind, now_s, manager = message.get_type(), self._timeline.now_s, self._control.id_manager
         if kind == "COMMAND_ACK":
+            self.one_vehicle.on_ack(message)
             self._control.commander.on_ack(now_s, message)
         elif kind == "PARAM_VALUE":
             parameter = self.parameters.on_value(message)
@@ -117,27 +138,46 @@ class FlightCore:
         tick = self._grid.due(now_s)
         if tick is None:
             return self._grid.deadline_s
-        request, timeline, control = self.context.request, self._timeline, self._control
-        timeline.now_s = max(timeline.now_s, now_s)
+        request = self.context.request
+        self._timeline.now_s = self._vehicle.now_s = max(self._timeline.now_s, now_s)
         self.lateness.add(tick.lateness_s / request.speedup, tick.skipped)
         if not self.finished:
-            self.links.choose()
-            self._direct((1 + tick.skipped) / request.rate_hz)
-            control.commander.step(timeline.now_s)
-            self.parameters.step(timeline.now_s)
-            self.missions.step(timeline.now_s)
-            if control.id_manager is not None and timeline.state.airborne:
-                control.id_manager.step(timeline.now_s)
-            self.links.heartbeats()
-            self.links.probes()
+            with self.containment.tick():
+                self._serve((1 + tick.skipped) / request.rate_hz)
+            if self.containment.held:
+                self._hold_tick()
         return self._grid.deadline_s
+
+    def _serve(self, dt_s: float) -> None:
+        """One tick's work."""
+        timeline, control = self._timeline, self._control
+        self.links.choose()
+        self.evidence.update()
+        self._direct(dt_s)
+        control.commander.step(timeline.now_s)
+        self.parameters.step(timeline.now_s)
+        self.missions.step(timeline.now_s)
+        if control.id_manager is not None and timeline.state.airborne:
+            control.id_manager.step(timeline.now_s)
+        self.links.heartbeats()
+        self.links.probes()
+
+    def _hold_tick(self) -> None:
+        """A tick with a fault of ours: the reference stands, heartbeats go on."""
+        with self.containment.of("holding the tick"):
+            if self._timeline.state in STREAMED and self._control.last_setpoint_s < self._timeline.now_s:
+                self.airborne.guidance.stay()
+        with self.containment.of("heartbeats"):
+            self.links.heartbeats()
 
     def tell(self) -> None:
         """What can wait until the tick's frames are out: texts, progress, the schedule. After every `step`."""
         for severity, text in self._vehicle.monitor.take_texts():
             self._timeline.emit(EventKind.TEXT, severity=severity, text=text)
         if not self.finished:
-            self.announcer.update()
+            with self.containment.of("telling"):
+                self.one_vehicle.update()
+                self.announcer.update()
 
     def routes(self, station_id: str, frame: bytes) -> tuple[str, ...]:
         """The URLs a frame of a station goes out over: a probe over all its links, all else over the one that sends."""
@@ -149,8 +189,9 @@ class FlightCore:
     def take_outgoing(self) -> list[tuple[str, bytes]]:
         """Frames to send now, in order, each with its station."""
         outgoing = [(sender.station_id, frame) for sender, frame in self._control.gate.take_outgoing()]
-        if self._on_frame is not None:
-            for _, frame in outgoing:
+        for _, frame in outgoing:
+            self.one_vehicle.sent(frame)
+            if self._on_frame is not None:
                 self._on_frame(self._timeline.now_s, frame)
         return outgoing
 
@@ -168,6 +209,10 @@ class FlightCore:
         else:
             self.airborne.tick(dt_s)
             self._ask_for_telemetry()
+        # Not after a lapse: somebody else may have the vehicle.
+        watched = self._timeline.state in (*STREAMED, FlightState.READY, FlightState.TAKEOFF, FlightState.LANDING)
+        if watched and self._streams is None and not self.airborne.chain.moving:
+            self.upkeep.step()
 
     def _advance_launch(self) -> None:
         assert self._procedure is not None
@@ -175,10 +220,22 @@ class FlightCore:
             next(self._procedure)
         except StopIteration:
             self._procedure = None
-            self.airborne.begin()
+            if self._timeline.state.ended:
+                return
+            if self.launch.stuck:
+                self._land("take-off stuck", FlightState.CONTINGENCY)
+            else:
+                self.airborne.begin()
         except Refused as refusal:
             self._procedure = None
             self._refuse(str(refusal))
+        except Exception as fault:
+            # The procedure is over with it: on the ground that is the end, in the climb the vehicle lands.
+            climbing = self._timeline.state is FlightState.TAKEOFF
+            self._procedure = None if climbing else self._stop_on_ground(f"a fault of ours: {fault!r}")
+            if climbing:
+                self._land("a fault of ours", FlightState.CONTINGENCY)
+            raise
 
     def _refuse(self, reason: str) -> None:
         climbing = self._timeline.state is FlightState.TAKEOFF
@@ -201,23 +258,7 @@ class FlightCore:
 
     def summary(self) -> dict[str, Any]:
         """How the flight went, in figures."""
-        timeline, air = self._timeline, self.airborne
-        return {
-            "outcome": timeline.state.value,
-            "exit_code": timeline.state.exit_code if timeline.state.ended else None,
-            "plan_sha256": self.context.plan.plan_sha256,
-            "flown_s": None if timeline.t_plus_s is None else round(timeline.t_plus_s, 3),
-            "setpoints": self._control.setpoints_sent,
-            "handovers": air.chain.leg,
-            "tracking_rms_m": round(air.lag.rms_m, 3),
-            "tracking_worst_m": round(air.lag.worst_m, 3),
-            "lateness": self.lateness.to_document(),
-            "links": self._links(),
-        }
-
-    def _links(self) -> dict[str, Any]:
-        now_s = self._timeline.now_s
-        return {link.station_id: link.to_document(now_s) for link in self._vehicle.monitor.links.values()}
+        return summary(self.context, self.airborne, self.lateness)
 
     def _ask_for_telemetry(self) -> None:
         """The station in control asks for what the flight is watched by, on every link that has come to send."""
@@ -227,11 +268,8 @@ class FlightCore:
             if self._streamed is not None:
                 self._streams = self.launch.request_streams()
             self._streamed = (chain.leg, sends)
-        if self._streams is not None and not chain.moving:
-            try:
-                next(self._streams)
-            except StopIteration:
-                self._streams = None
+        if self._streams is not None and not chain.moving and next(self._streams, self) is self:
+            self._streams = None
 
     # -- operator commands --------------------------------------------------------------------------------------------
 
@@ -259,12 +297,15 @@ class FlightCore:
         try:
             command = OperatorCommand(command)
         except ValueError:
-            raise TransitionError(
-                f"unknown word {command!r}; allowed is {', '.join(sorted(OperatorCommand))}"
-            ) from None
+            allowed = ", ".join(sorted(OperatorCommand))
+            raise TransitionError(f"unknown word {command!r}; allowed is {allowed}") from None
         if plan_sha256 is not None and plan_sha256 != self.context.plan.plan_sha256:
             raise TransitionError(f"'{command}' is for another plan ({plan_sha256[:12]}...) than the one being flown")
-        check_operator_command(command, self._timeline.state)
+        effect = check_operator_command(command, self._timeline.state)
+        if self._stopping and effect not in (Effect.STOP_ON_GROUND, Effect.NOTE):
+            raise TransitionError(f"'{command}' comes too late: the flight is being ended on the ground")
+        if command is OperatorCommand.LAUNCH and (unfit := self.launch.evidence.unfit()):
+            raise TransitionError(f"launch refused: {unfit}")
         if command in (OperatorCommand.READY, OperatorCommand.ACCEPT, OperatorCommand.REFUSE) and handover is None:
             raise TransitionError(f"'{command}' needs the index of a handover")
         if command is OperatorCommand.AUTHORISE and (until_s is None or not until_s >= 0.0):
@@ -274,7 +315,7 @@ class FlightCore:
                 raise TransitionError("'replan' needs a plan made ready for this flight")
             self.airborne.adopt(upcoming, join_s, leave_s)
         else:
-            self._obey(command, handover or 0, until_s or 0.0, reason or by or "word")
+            self._obey(command, effect, handover or 0, until_s or 0.0, reason or by or "word")
         self._timeline.emit(
             EventKind.OPERATOR_COMMAND, word=command.value, by=by, handover=handover, until_s=until_s, reason=reason
         )
@@ -286,18 +327,26 @@ class FlightCore:
         """
         return make_ready(document, self.context, self.launch.values)
 
-    def _obey(self, command: OperatorCommand, handover: int, until_s: float, reason: str) -> None:
+    def _obey(self, command: OperatorCommand, effect: Effect, handover: int, until_s: float, reason: str) -> None:
         air = self.airborne
-        if command is OperatorCommand.LAUNCH:
-            self.launch.commanded = True
-        elif command is OperatorCommand.HOLD:
+        if effect in (Effect.LAUNCH, Effect.PREFLIGHT):
+            self.launch.ask(again=effect is Effect.PREFLIGHT)
+        elif effect is Effect.STOP_ON_GROUND:
+            if not self._stopping:
+                # On the ground: motors off, parameters back, done.
+                self._stopping = True
+                self._procedure = self._stop_on_ground(f"aborted: {reason}")
+        elif effect in (Effect.HOLD, Effect.KEEP_HOLDING):
             air.hold()
-        elif command is OperatorCommand.RESUME:
+        elif effect in (Effect.GO_ON, Effect.RE_ENTER):
             air.resume()
-        elif command is OperatorCommand.ABORT:
-            self._abort(reason)
         elif command is OperatorCommand.LAND:
-            self._land()
+            self._land(reason)
+        elif command is OperatorCommand.ABORT:
+            if effect is Effect.STOP_CLIMB:
+                self._land(f"abort: {reason}", FlightState.CONTINGENCY)
+            else:
+                air.contingency(f"abort: {reason}")
         elif command is OperatorCommand.AUTHORISE:
             air.authorise(until_s)
         elif command is OperatorCommand.REFUSE:
@@ -305,28 +354,15 @@ class FlightCore:
         else:
             air.chain.accept(handover)
 
-    def _abort(self, reason: str) -> None:
-        if self._procedure is None:
-            self.airborne.contingency(f"abort: {reason}")
-        elif self._timeline.state is FlightState.TAKEOFF:
-            self._land()
-        else:
-            # On the ground: motors off, parameters back, done.
-            self._procedure = self._stop_on_ground(f"aborted: {reason}")
-
-    def _land(self) -> None:
+    def _land(self, reason: str, outcome: FlightState | None = None) -> None:
+        """Land at once, wherever the vehicle is; out of the climb too, whose commands are taken back."""
         if self._procedure is not None:
             self._procedure = None
-            self.airborne.uplink.restart()
-        self.airborne.land()
+            self._control.commander.cancel_all()
+        self.airborne.land(reason, outcome)
 
     def _stop_on_ground(self, reason: str) -> Steps[None]:
-        if self._control.gate.in_force is not None and self._vehicle.armed:
-            ticket = self._control.start_command("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
-            while not ticket.finished:
-                yield
-        yield from self.launch.restore()
-        raise Refused(reason)
+        yield from stop_on_ground(self.context, self.launch.restore, reason)
 
     # -- for people ---------------------------------------------------------------------------------------------------
 
@@ -349,6 +385,7 @@ class FlightCore:
             "utc": timeline.utc.text(timeline.now_s),
             "t_plus_s": None if timeline.t_plus_s is None else round(timeline.t_plus_s, 3),
             "plan_sha256": self.context.plan.plan_sha256,
+            "vehicle_identity": self.one_vehicle.identity,
             "preflight_id": self.launch.preflight_id,
             "preflight_age_s": None if age_s is None else round(age_s, 1),
             "fence": None if grant is None else grant.number,
@@ -358,23 +395,3 @@ class FlightCore:
         }
         clean: dict[str, Any] = plain(document)
         return clean
-
-
-def _sharing(request: FlightRequest) -> dict[str, tuple[str, ...]]:
-    """The stations of each URL: those that share a link hear the same bytes."""
-    urls = request.urls
-    return {
-        url: tuple(other for other in request.stations if url in urls[other])
-        for station in request.stations
-        for url in urls[station]
-    }
-
-
-def _decoders(sharing: Mapping[str, tuple[str, ...]], codecs: Mapping[str, StationCodec]) -> dict[str, StationCodec]:
-    """A decoder for each URL, signed as the first of its stations is."""
-    decoders = {}
-    for url, stations in sharing.items():
-        codec = codecs[stations[0]]
-        stream = parse_url(url).is_stream
-        decoders[url] = StationCodec(codec.system_id, signing=codec.signing, stream=stream)
-    return decoders

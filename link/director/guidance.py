@@ -104,15 +104,15 @@ class Guidance:
 
     # -- where to -----------------------------------------------------------------------------------------------------
 
-    def transit(self, from_enu_m: Vector, time_s: float) -> None:
-        """Straight to a time of the plan, from a place in its plane."""
+    def transit(self, from_enu_m: Vector, time_s: float, *, stay: bool = False) -> None:
+        """Straight to a time of the plan, from a place in its plane; ``stay``: no further than that place."""
         limits, join = self._flight.plan.mission.limits, self.stream.at(time_s)
         accel_m_s2 = min(MOST_TRANSIT_ACCEL_M_S2, self._accel_m_s2)
         line = StraightLine(
             self._flight.plan,
             self._chain.leg,
             from_enu_m,
-            join.position_enu_m,
+            from_enu_m if stay else join.position_enu_m,
             speed_m_s=min(self._request.transit_speed_m_s, limits.max_speed_m_s),
             climb_m_s=self._request.climb_m_s,
             accel_m_s2=accel_m_s2,

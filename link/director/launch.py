@@ -14,22 +14,26 @@ from gcs.flight import EventKind, FlightState
 from gcs.plan import Place, failsafe_returns
 from link.dialect import mavlink
 from link.director.borrowed_settings import BorrowedSettings
+from link.director.link_checks import LINKS_WAIT_S, judge_links
 from link.director.takeoff import TakeOff
 from link.handover import gcs_ids
 from link.handover.gcs_ids import GcsIds
-from link.handover.handover_chain import attempt_time_s
 from link.microservices.command import Ticket
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ATTEMPTS, MOST_ATTEMPTS, Asked, Asking, ParameterClient
 from link.microservices.parameter_value import Parameter, encoding_of
+from link.monitors.one_vehicle import OneVehicle
+from link.monitors.telemetry_upkeep import streams_of
 from link.preflight.check import Check, Level, worst, worst_first
+from link.preflight.evidence import PreflightEvidence
 from link.preflight.failsafe_return import judge_failsafe_return, return_rules
 from link.preflight.geofence import judge_limits
 from link.preflight.identity import Identity, judge_identity
-from link.preflight.link import judge_link
 from link.preflight.route import judge_lowest, judge_stops
 from link.preflight.vehicle import (
     judge_clock,
+    judge_estimate,
+    judge_home,
     judge_origin,
     judge_parameters,
     judge_performance,
@@ -37,80 +41,77 @@ from link.preflight.vehicle import (
     judge_plan,
     judge_vehicle,
 )
+from link.session.changes import ChangeJournal
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps, answered, wait_until
-from link.transport.url import is_local
 
-LINKS_WAIT_S = 8.0
-"""How long the other stations' links are waited for once the vehicle is heard."""
 HEARD_S = 3.0
-QUALITY_WAIT_S = 4.0
 PREFLIGHT_VALID_S = 60.0
 """A flight is launched on a preflight younger than this, by the wall's clock: it is a person who relies on it."""
 SIMULATOR_PARAMETER = "SIM_SPEEDUP"
-
-STREAMED_MESSAGES: tuple[tuple[int, float], ...] = (
-    (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0),
-    # Every 111 ms: no multiple of a usual interval of setpoints, so that of two senders who alternate each is seen. It
-    # goes through theirs in steps of an eighth, shifted a little each time. ArduPilot keeps whole milliseconds.
-    (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 1000.0 / 111.0),
-    (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0),
-    # The battery.
-    (mavlink.MAVLINK_MSG_ID_SYS_STATUS, 1.0),
-)
-"""What the station in control asks the vehicle to send, and how often, in Hz."""
 
 
 class Launch:
     """The procedure on the ground and the climb. ``commanded``: whether the operator has said to go."""
 
-    def __init__(self, flight: FlightContext, parameters: ParameterClient, missions: MissionClient) -> None:
+    def __init__(
+        self,
+        flight: FlightContext,
+        parameters: ParameterClient,
+        missions: MissionClient,
+        one_vehicle: OneVehicle,
+        journal: ChangeJournal | None = None,
+    ) -> None:
         self._flight = flight
         self._request = flight.request
         self._timeline = flight.timeline
         self._vehicle = flight.vehicle
         self._control = flight.control
         self.parameters = parameters
-        self.borrowed = BorrowedSettings(flight, parameters, missions)
+        self._one = one_vehicle
+        self.borrowed = BorrowedSettings(flight, parameters, missions, journal)
         self.values: dict[str, Parameter | None] = {}
         self.asking = Asking()
         self.checks: list[Check] = []
         self.simulator_speedup: float | None = None
         self.ground_amsl_m = 0.0
         self.commanded = flight.request.auto_launch
+        self.renewed = False
         self.preflight_id = 0
-        self._passed_s: float | None = None
-        """The flight's clock when the last preflight passed."""
+        self.stuck = False  # the climb ended without its height
+        self.evidence = PreflightEvidence(flight)
+        self._passed_s: float | None = None  # the flight's clock when the last preflight passed
 
     def run(self) -> Steps[None]:
         """All of it. Raises `Refused` while the vehicle is on the ground."""
         yield from self._connect()
-        yield from self._identify()
+        self._timeline.become(FlightState.IDENTIFYING)
+        yield from self._know_vehicle()
         yield from self._preflight()
-        yield from self._wait_for_command()
+        while void := (yield from self._wait_for_command()):
+            self._timeline.alarm("the preflight is void", reason=void)
+            # The last launch command was given in ignorance of it.
+            self.commanded, self._passed_s = self._request.auto_launch, None
+            yield from self._preflight(void)
         self._timeline.become(FlightState.ARMING, "launch")
-        yield from TakeOff(self._flight, self.restore).run(self.ground_amsl_m)
+        self.stuck = yield from TakeOff(self._flight, self.restore, self.evidence).run(self.ground_amsl_m)
 
     # -- connect ------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> Steps[None]:
-        timeline, vehicle = self._timeline, self._vehicle
+        timeline, vehicle, monitor = self._timeline, self._vehicle, self._vehicle.monitor
         first = self._flight.plan.station_ids[0]
         self._control.grant(first, "first station")
         heard = yield from wait_until(
             timeline,
-            lambda: (
-                vehicle.monitor.heartbeat is not None and vehicle.monitor.heard_within(timeline.now_s, first, HEARD_S)
-            ),
+            lambda: monitor.heartbeat is not None and monitor.heard_within(timeline.now_s, first, HEARD_S),
             self._request.connect_timeout_s,
         )
         if not heard:
             over = f"over the link of {first} ({self._request.shown(first)}) in {self._request.connect_timeout_s:g} s"
-            raise Refused(
-                f"no heartbeat of system {vehicle.system_id}, component 1 {over}: "
-                "is the vehicle there, its id and the link right?"
-            )
-        heartbeat = vehicle.monitor.heartbeat
+            hint = "is the vehicle there, its id and the link right?"
+            raise Refused(f"no heartbeat of system {vehicle.system_id}, component 1 {over}: {hint}")
+        heartbeat = monitor.heartbeat
         assert heartbeat is not None
         if heartbeat.autopilot != vehicle.profile.autopilot_id:
             raise Refused(
@@ -124,30 +125,33 @@ class Launch:
 
     # -- identify -----------------------------------------------------------------------------------------------------
 
-    def _identify(self) -> Steps[None]:
+    def _know_vehicle(self) -> Steps[None]:
+        """Whatever the vehicle tells when asked: streams, version, origin over every link, home."""
         vehicle, control = self._vehicle, self._control
-        self._timeline.become(FlightState.IDENTIFYING)
-        yield from self._break_in()
-        yield from self.request_streams()
-        yield from self._ask_for_message(
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, lambda: vehicle.monitor.version is not None, 5.0
-        )
-        if vehicle.monitor.version is not None:
-            capabilities = int(vehicle.monitor.version.capabilities)
-            self.parameters.encoding = encoding_of(capabilities, vehicle.profile.parameter_encoding)
-        # The EKF lays its origin once it has a position: on a cold vehicle that takes most of a minute.
         first = self._flight.plan.station_ids[0]
+        control.grant(first, "first station")
+        yield from self._break_in()
+        yield from self._one.identify(first)
+        # Before anything is changed on it: on another flight it must not notice this one.
+        self._one.claim()
+        yield from self.request_streams()
+        if vehicle.monitor.version is not None:
+            told = int(vehicle.monitor.version.capabilities)
+            self.parameters.encoding = encoding_of(told, vehicle.profile.parameter_encoding)
+        if (yield from self.borrowed.note.recover()):
+            yield from self._break_in()
+        # The EKF lays its origin once it has a position: on a cold vehicle that takes most of a minute.
         known = yield from self._ask_for_message(
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-            lambda: vehicle.monitor.links[first].origin is not None and vehicle.monitor.position is not None,
+            lambda: vehicle.monitor.links[first].origin is not None and vehicle.position is not None,
             self._request.arm_timeout_s,
         )
         if not known:
-            raise Refused(
-                f"no position and EKF origin in {self._request.arm_timeout_s:g} s: does the vehicle have satellites?"
-            )
+            why = vehicle.monitor.places.refused
+            what = f"what it tells is not believed, {why}" if why else "does the vehicle have satellites?"
+            raise Refused(f"no position and EKF origin in {self._request.arm_timeout_s:g} s: {what}")
         vehicle.origin = vehicle.monitor.links[first].origin
-        for station in dict.fromkeys(self._flight.plan.station_ids):
+        for station in self._request.stations:
             # Every link in turn, in control for a moment, still on the ground: what it will carry is tried now.
             if station != first and self._link_works(station):
                 control.grant(station, "link check on the ground")
@@ -156,7 +160,11 @@ class Launch:
                     lambda s=station: vehicle.monitor.links[s].origin is not None,  # type: ignore[misc]
                     3.0,
                 )
+                yield from self._one.identify(station)
         control.grant(first, "first station")
+        yield from self._ask_for_message(
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION, lambda: vehicle.monitor.home is not None, HEARD_S
+        )
 
     def _break_in(self) -> Steps[None]:
         """A vehicle that enforces other stations' ids answers nothing: say so, or open it with its own id."""
@@ -166,9 +174,13 @@ class Launch:
             return
         hint = "it may be locked to other stations' ids (MAV_OPTIONS bit 0)"
         if not self._request.rescue:
-            raise Refused(f"the vehicle is heard but answers no command: {hint}; allow the rescue to take it over")
+            left = self.borrowed.note.left_by_others()
+            by = f" by flight {left[-1].flight_id}" if left else ""
+            fix = f"{self.borrowed.note.remedy}, or fly with --rescue (REST: rescue)"
+            raise Refused(f"the vehicle is heard but answers no command: {hint}{by}; unlock it with {fix}")
         first = self._flight.plan.station_ids[0]
         control.grant(first, "rescue", as_vehicle=True)
+        yield from self._command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,))
         yield from self._read()
         before = gcs_ids.present(self.values)
         if before is None:
@@ -181,7 +193,7 @@ class Launch:
 
     def request_streams(self) -> Steps[None]:
         """Ask for the telemetry the flight is watched by, on the link of the station in control."""
-        for message_id, rate_hz in STREAMED_MESSAGES:
+        for message_id, rate_hz in streams_of(self._vehicle.profile):
             params = (float(message_id), 1e6 / rate_hz)
             yield from self._command("message interval", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, params)
 
@@ -196,14 +208,24 @@ class Launch:
 
     # -- preflight ----------------------------------------------------------------------------------------------------
 
-    def _preflight(self) -> Steps[None]:
+    def _preflight(self, void: str = "") -> Steps[None]:
+        """Judge everything; ``void``: why the last preflight holds no more, then the vehicle is asked anew too."""
         timeline, vehicle = self._timeline, self._vehicle
-        timeline.become(FlightState.PREFLIGHT)
+        timeline.become(FlightState.PREFLIGHT, void)
+        self.evidence.begin()
+        if void:
+            yield from self._know_vehicle()
         yield from self._read()
         checks = [*self._judge_vehicle(), *(yield from self._failsafes())]
         checks += judge_performance(vehicle.profile, self.values, self._flight.plan)
-        position = vehicle.position_enu_m()
-        assert position is not None
+        position = yield from self.evidence.known_place(self._request.arm_timeout_s)
+        if position is None:
+            yield from self.restore()
+            raise Refused(f"the vehicle's position is not known: {vehicle.monitor.places.refused or 'none is heard'}")
+        checks += [
+            judge_estimate(self.evidence.lacks_estimate),
+            judge_home(vehicle.monitor.home, vehicle.monitor.position),
+        ]
         self.ground_amsl_m = position[2] + self._flight.plan.plane.alt_amsl_m
         checks += judge_place(self._flight.plan, position, self.ground_amsl_m, self._request)
         checks.append(judge_lowest(self._flight.plan, self.ground_amsl_m))
@@ -215,17 +237,17 @@ class Launch:
         self._tell(worst_first(checks))
         if worst(checks) >= Level.FAILURE:
             yield from self.restore()
-            raise Refused("preflight: " + "; ".join(_said(check) for check in worst_first(checks) if check.blocks))
+            raise Refused("preflight: " + "; ".join(check.said for check in worst_first(checks) if check.blocks))
         vehicle.loss_timeout_s = self._loss_timeout_s()
         self._passed_s = timeline.now_s
+        self._one.passed()
         timeline.become(FlightState.READY, "preflight passed")
 
     @property
     def preflight_age_s(self) -> float | None:
         """How long ago the last preflight passed, by the wall's clock; None where none has."""
-        if self._passed_s is None:
-            return None
-        return (self._timeline.now_s - self._passed_s) / self._request.speedup
+        passed_s = self._passed_s
+        return None if passed_s is None else (self._timeline.now_s - passed_s) / self._request.speedup
 
     def _loss_timeout_s(self) -> float:
         """How long the autopilot goes without setpoints, by what was read of it."""
@@ -249,9 +271,10 @@ class Launch:
         told = None if unix is None else (unix[0], self._timeline.utc.unix_s(unix[1]))
         return [
             *judge_identity(vehicle.profile, identity, heartbeat.vehicle_type),
+            *self._one.judge(),
             *judge_vehicle(
                 armed=heartbeat.armed,
-                landed_state=vehicle.monitor.landed_state,
+                landed_state=vehicle.landed_state,
                 battery_percent=vehicle.monitor.battery_percent,
                 simulator_speedup=self.simulator_speedup,
                 speedup=self._request.speedup,
@@ -279,21 +302,15 @@ class Launch:
             asked.update({one.name: one for one in again})
             yield from wait_until(self._timeline, lambda a=again: all(one.finished for one in a), 60.0)  # type: ignore[misc]
             denied = frozenset(one.name for one in asked.values() if one.denied)
-            self.asking = Asking(attempts, self._loss(), denied)
+            # Share of questions that go unanswered lately on the link of the station in control, by its probes.
+            link = self._vehicle.monitor.links[self._control.in_force.station_id].active
+            self.asking = Asking(attempts, link.round_loss(self._timeline.now_s), denied)
             if not self.asking.unsure:
                 break
-        answers = {one.name: one.answer for one in asked.values()}
-        self.values = {
-            parameter.key: next((answers[n] for n in parameter.names if answers[n] is not None), None)
-            for parameter in known
-        }
+        answers = {name: one.answer for name, one in asked.items()}
+        self.values = {p.key: next((answers[n] for n in p.names if answers[n] is not None), None) for p in known}
         simulator = answers[SIMULATOR_PARAMETER]
         self.simulator_speedup = None if simulator is None else float(simulator.value)
-
-    def _loss(self) -> float | None:
-        """Share of questions that go unanswered lately on the link of the station in control, by its probes."""
-        station = self._control.in_force.station_id
-        return self._vehicle.monitor.links[station].active.round_loss(self._timeline.now_s)
 
     def _failsafes(self) -> Steps[list[Check]]:
         """Judge the parameters; set what is unsafe where that is allowed, and judge again what is read back."""
@@ -319,32 +336,8 @@ class Launch:
 
     def _judge_links(self) -> Steps[list[Check]]:
         """Every station's link: heard and answered. A real vehicle on the ground is out of most stations' range."""
-        timeline, vehicle = self._timeline, self._vehicle
-        first = self._flight.plan.station_ids[0]
         simulated = self.simulator_speedup is not None
-        yield from wait_until(timeline, lambda: all(self._link_works(s) for s in vehicle.monitor.links), LINKS_WAIT_S)
-        # A figure for the quality needs a few probes that are over.
-        yield from wait_until(
-            timeline,
-            lambda: all(link.quality(timeline.now_s) is not None for link in vehicle.monitor.links.values()),
-            QUALITY_WAIT_S,
-        )
-        attempt_s = attempt_time_s(self._request, self._loss_timeout_s())
-        checks: list[Check] = []
-        for station in dict.fromkeys(self._flight.plan.station_ids):
-            link, urls = vehicle.monitor.links[station], self._request.urls[station]
-            checks += judge_link(
-                station,
-                ", ".join(urls),
-                works=self._link_works(station),
-                same_origin=link.origin is None or vehicle.origin is None or link.origin == vehicle.origin,
-                required=station == first or simulated,
-                quality=link.quality(timeline.now_s),
-                attempt_s=attempt_s,
-                signed=self._request.signing_key is not None,
-                loopback=not self._request.allow_unsigned or all(is_local(url) for url in urls),
-            )
-        return checks
+        return (yield from judge_links(self._flight, self._link_works, self._loss_timeout_s(), simulated=simulated))
 
     # -- what is borrowed ---------------------------------------------------------------------------------------------
 
@@ -364,24 +357,33 @@ class Launch:
         """Give back what was changed in the vehicle for this flight; on the ground, disarmed."""
         yield from self.borrowed.give_back()
 
+    def ask(self, *, again: bool) -> None:
+        """The operator's command to go, or (``again``) to make the preflight again first."""
+        self.renewed, self.commanded = self.renewed or again, self.commanded or not again
+
     # -- the launch command -------------------------------------------------------------------------------------------
 
-    def _wait_for_command(self) -> Steps[None]:
-        timeline = self._timeline
-        if not (yield from wait_until(timeline, lambda: self.commanded, self._request.launch_timeout_s)):
+    def _wait_for_command(self) -> Steps[str]:
+        """Until the launch is commanded on a preflight that holds; why it holds no more, where it does not."""
+        self.renewed, limit_s = False, self._request.launch_timeout_s
+        ready = yield from wait_until(
+            self._timeline,
+            lambda: self.commanded or self.renewed or bool(self.evidence.void() or self._one.hindrance()),
+            limit_s,
+        )
+        if void := self.evidence.void():
+            return void
+        if not ready:
             yield from self.restore()
-            raise Refused(f"no word to launch in {self._request.launch_timeout_s:g} s")
-        age_s = self.preflight_age_s
-        if age_s is None or age_s >= PREFLIGHT_VALID_S:
+            raise Refused(f"no word to launch in {limit_s:g} s")
+        if not self.commanded and self.renewed:
+            return "it is made again, as asked"
+        if self.commanded and (self.preflight_age_s or 0.0) >= PREFLIGHT_VALID_S:
             yield from self._preflight()
+        yield from self._one.look_again(self.restore)
+        return self.evidence.void()
 
     def _command(self, name: str, command: int, params: tuple[Any, ...]) -> Steps[Ticket]:
         ticket = yield from answered(self._control.start_command(name, command, tuple(float(p) for p in params)))
         self._timeline.emit(EventKind.COMMAND, name=name, result=ticket.outcome, attempts=ticket.sent)
         return ticket
-
-
-def _said(check: Check) -> str:
-    required = f" (required: {check.required})" if check.required else ""
-    remedy = f"; {check.remedy}" if check.remedy else ""
-    return f"{check.name}: {check.message}{required}{remedy}"

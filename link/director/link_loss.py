@@ -18,8 +18,11 @@ import math
 import numpy as np
 
 from gcs.flight import FlightState
+from gcs.operator_commands import LAPSED_LIMIT_S
+from link.director.operation.grounded import GroundedArmed
 from link.handover.handover_chain import HandoverChain
 from link.session.context import FlightContext
+from link.session.coverage import choices
 from link.session.procedure import Steps, wait_until
 from link.setpoints.straight_line import StraightLine
 
@@ -49,6 +52,7 @@ class LostC2Link:
         self._asked_s = -math.inf
         self._resort = False
         self._told = False
+        self._ground = GroundedArmed(flight)
         self._entry: Steps[float] | None = None
 
     def begin(self, plan_s: float, *, pin: bool) -> None:
@@ -56,6 +60,7 @@ class LostC2Link:
         self._plan_s, self._pin, self._since_s = plan_s, pin, self._timeline.now_s
         self._asked_s, self._resort, self._entry, self.ended = -math.inf, False, None, None
         self._told = False
+        self._ground.begin()
 
     def resume(self) -> None:
         """The operator's command: begin re-entry."""
@@ -69,7 +74,7 @@ class LostC2Link:
     def tick(self) -> float | None:
         """One tick; the time of the plan to join, once back in."""
         timeline, vehicle = self._timeline, self._vehicle
-        if vehicle.disarmed_since(self._since_s):
+        if vehicle.down_since(self._since_s):
             ended = FlightState.CONTINGENCY if vehicle.on_ground else FlightState.LOST
             self.ended = (ended, "the vehicle disarmed by itself")
             return None
@@ -77,9 +82,11 @@ class LostC2Link:
         if silent_s > self._request.lost_after_s:
             self.ended = (FlightState.LOST, f"nothing heard for {silent_s:.0f} s")
             return None
+        if self._out_of_time():
+            return None
         if self._entry is not None:
             return self._advance()
-        self._use_best_link()
+        self.use_best_link()
         if timeline.now_s - self._asked_s < REASK_S:
             return None
         drifting = vehicle.mode in (vehicle.profile.offboard_mode, vehicle.profile.hold_mode)
@@ -89,6 +96,40 @@ class LostC2Link:
             self._asked_s = timeline.now_s
             self._control.start_mode(vehicle.profile.hold_mode)
         return None
+
+    def _out_of_time(self) -> bool:
+        """Whether it has `ended` by its limits."""
+        timeline, mode = self._timeline, self._vehicle.mode
+        self._ground.update(ask=self._resort)
+        if self._ground.ended:
+            self.ended = (FlightState.LOST, self._ground.ended)
+        elif timeline.now_s - self._since_s > LAPSED_LIMIT_S:
+            self.ended = (FlightState.LOST, f"left to the autopilot after {LAPSED_LIMIT_S:g} s, which shows {mode}")
+        return self.ended is not None
+
+    @property
+    def resort_s(self) -> float | None:
+        """When the vehicle is told to return by itself, flight's clock; None where it is not, or has been."""
+        drifting = self._vehicle.mode in (self._vehicle.profile.offboard_mode, self._vehicle.profile.hold_mode)
+        return self._since_s + self._request.hold_limit_s if drifting and not self._resort else None
+
+    @property
+    def entering(self) -> bool:
+        """Whether a resume is under way."""
+        return self._entry is not None
+
+    def no_way_back(self) -> str:
+        """Why a resume would fail now; empty where it may succeed."""
+        here = self._vehicle.position_enu_m()
+        if here is None:
+            return "no fresh position"
+        if self._vehicle.doubt:
+            return self._vehicle.doubt
+        try:
+            self._where(np.array(here))
+        except _NoWayBack as reason:
+            return str(reason)
+        return ""
 
     def _advance(self) -> float | None:
         assert self._entry is not None
@@ -102,12 +143,13 @@ class LostC2Link:
             self._timeline.alarm("cannot resume", reason=str(reason))
         return None
 
-    def _use_best_link(self) -> None:
-        """What little is said goes over the link proved last."""
-        vehicle, control = self._vehicle, self._control
-        best = max(vehicle.monitor.links.values(), key=lambda link: link.proven_s)
-        if best.proven_s > vehicle.monitor.links[control.in_force.station_id].proven_s + BETTER_LINK_S:
-            control.grant(best.station_id, "the link proved last")
+    def use_best_link(self) -> None:
+        """What little is said goes over the link proved last of those in whose range the vehicle is."""
+        links, control = self._vehicle.monitor.links, self._control
+        now, allowed = control.in_force.station_id, choices(self._flight)
+        best = max((links[station] for station in allowed), key=lambda link: link.proven_s)
+        if now not in allowed or best.proven_s > links[now].proven_s + BETTER_LINK_S:
+            control.grant(best.station_id, "in range, and the link proved last")
 
     def _command_last_resort(self) -> None:
         timeline, vehicle = self._timeline, self._vehicle
@@ -126,8 +168,9 @@ class LostC2Link:
     def _enter(self) -> Steps[float]:
         timeline, vehicle, control = self._timeline, self._vehicle, self._control
         here = vehicle.position_enu_m()
-        if here is None or vehicle.monitor.position is None or timeline.now_s - vehicle.monitor.position.heard_s > 2.0:
-            raise _NoWayBack("no fresh position")
+        if reason := self.no_way_back():
+            raise _NoWayBack(reason)
+        assert here is not None
         leg, join_s = self._where(np.array(here))
         station = self._flight.plan.station_ids[leg]
         self._chain.leg = leg

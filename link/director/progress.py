@@ -7,6 +7,7 @@ from typing import Any
 
 from gcs.flight import EventKind, FlightState
 from link.director.airborne import Airborne
+from link.director.operation.lapse_watch import LapseWatch
 from link.session.context import FlightContext
 
 PROGRESS_S = 1.0
@@ -29,6 +30,7 @@ class Announcer:
         self._told_t0 = False
         self._plan_sha256 = flight.plan.plan_sha256
         self._behind = False
+        self.lapse = LapseWatch(flight, airborne.lost_link)
         self._foreign: dict[int, float] = {}
 
     def update(self) -> None:
@@ -40,6 +42,7 @@ class Announcer:
                 self._foreign[system_id] = heard_s
         if not timeline.state.airborne:
             return
+        self.lapse.update()
         self._retime()
         self._tell_behind()
         if timeline.now_s - self._progress_s >= PROGRESS_S:
@@ -90,7 +93,9 @@ class Announcer:
         """The flight now, as JSON."""
         timeline, vehicle, control = self._timeline, self._vehicle, self._control
         air, reference = self._air, self._air.guidance.reference
-        position, tracking = vehicle.monitor.position, air.lag.tracking
+        position, now = vehicle.monitor.position, vehicle.position
+        # What is shown of old positions is where it was, and how long ago; nothing else is known then.
+        tracking = None if now is None else air.lag.tracking
         # On the ground nobody measures it by the tick.
         air.range.update()
         station, margin_m = control.speaker, air.range.margin_m
@@ -103,8 +108,11 @@ class Announcer:
             "lat_deg": None if position is None else position.lat_deg,
             "lon_deg": None if position is None else position.lon_deg,
             "alt_amsl_m": None if position is None else position.alt_amsl_m,
-            "speed_m_s": None if position is None else round(position.speed_m_s, 2),
-            "velocity_ned_m_s": None if position is None else list(position.velocity_ned_m_s),
+            "position_age_s": None if position is None else round(timeline.now_s - position.heard_s, 2),
+            "heard_age_s": round(timeline.now_s - vehicle.monitor.last_heard_s(), 2),
+            "doubt": vehicle.doubt or None,
+            "speed_m_s": None if now is None else round(now.speed_m_s, 2),
+            "velocity_ned_m_s": None if now is None else list(now.velocity_ned_m_s),
             "error_m": None if tracking is None else round(tracking.error_m, 2),
             "behind_m": None if tracking is None else round(tracking.behind_m, 2),
             "beside_m": None if tracking is None else round(tracking.beside_m, 2),
@@ -115,6 +123,8 @@ class Announcer:
             "battery_percent": vehicle.monitor.battery_percent,
             "handovers_done": air.chain.leg,
             "held_for": air.held.text if timeline.state is FlightState.HOLDING else None,
-            "handovers": self.handovers_to_come()[:1],
+            # Standing, or off the plan, no time can be given for a handover.
+            "handovers": self.handovers_to_come()[:1] if timeline.state is FlightState.CRUISE else [],
+            "lapse": self.lapse.picture() if timeline.state is FlightState.LAPSED else None,
             "links": {link.station_id: link.to_document(timeline.now_s) for link in vehicle.monitor.links.values()},
         }

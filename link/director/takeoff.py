@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from gcs.flight import EventKind, FlightState
 from link.dialect import mavlink
+from link.preflight.evidence import PreflightEvidence
 from link.session.context import FlightContext
 from link.session.procedure import Refused, Steps, answered, wait_until
 from link.setpoints.reference import ReferenceTrajectory
@@ -20,30 +21,37 @@ from link.setpoints.straight_line import StraightLine
 MODE_WAIT_S = 3.0
 SETTLED_M = 1.5
 SETTLED_M_S = 0.7
+UNFIT_WAIT_S = 2.0
+"""What is not known for a moment is waited for so long before the launch is given up."""
 
 
 class TakeOff:
-    """The climb. ``restore`` gives back what was borrowed, where the vehicle stays on the ground after all."""
+    """The climb. ``restore`` gives back what was borrowed, where the vehicle stays on the ground after all;
+    ``evidence`` says why nothing may be armed or climbed now."""
 
-    def __init__(self, flight: FlightContext, restore: Callable[[], Steps[None]]) -> None:
+    def __init__(self, flight: FlightContext, restore: Callable[[], Steps[None]], evidence: PreflightEvidence) -> None:
         self._flight = flight
         self._request = flight.request
         self._timeline = flight.timeline
         self._vehicle = flight.vehicle
         self._control = flight.control
         self._restore = restore
+        self._evidence = evidence
 
-    def run(self, ground_amsl_m: float) -> Steps[None]:
-        """All of it, from the ground at that altitude. Raises `Refused` while the vehicle is on the ground."""
+    def run(self, ground_amsl_m: float) -> Steps[bool]:
+        """All of it, from the ground at that altitude; whether the vehicle is stuck on the way up.
+
+        Raises `Refused` while the vehicle is on the ground.
+        """
         if self._vehicle.profile.climbs_by_command:
-            yield from self._climb_by_command(ground_amsl_m)
-        else:
-            yield from self._climb_by_setpoints(ground_amsl_m)
+            return (yield from self._climb_by_command(ground_amsl_m))
+        return (yield from self._climb_by_setpoints(ground_amsl_m))
 
-    def _climb_by_command(self, ground_amsl_m: float) -> Steps[None]:
+    def _climb_by_command(self, ground_amsl_m: float) -> Steps[bool]:
         timeline, vehicle = self._timeline, self._vehicle
         yield from self._enter(vehicle.profile.offboard_mode, None)
         yield from self._arm(None)
+        armed_s = timeline.now_s
         timeline.become(FlightState.TAKEOFF)
         start_up_m = float(self._flight.plan.trajectory.evaluate(0.0)[2])
         height_m = start_up_m + self._flight.plan.plane.alt_amsl_m - ground_amsl_m
@@ -52,26 +60,28 @@ class TakeOff:
         yield from answered(climb)
         timeline.emit(EventKind.COMMAND, name="take-off", result=climb.outcome, attempts=climb.sent)
         limit_s = 30.0 + height_m / 0.5
-        climbed = yield from wait_until(timeline, lambda: self._at_height(start_up_m) or not vehicle.armed, limit_s)
-        if not vehicle.armed:
+        climbed = yield from wait_until(
+            timeline, lambda: self._at_height(start_up_m) or bool(vehicle.down_since(armed_s)), limit_s
+        )
+        if vehicle.down_since(armed_s):
             yield from self._restore()
             raise Refused("the vehicle disarmed again instead of climbing")
         if not climbed:
             timeline.alarm("take-off stuck", height_m=height_m)
         # Arming lays home anew, and may tell the origin again.
         vehicle.adopt_origin(self._flight.plan.station_ids[0])
+        return not climbed
 
     def _at_height(self, up_m: float) -> bool:
         vehicle = self._vehicle
-        here, position = vehicle.position_enu_m(), vehicle.monitor.position
+        here, position = vehicle.position_enu_m(), vehicle.position
         if here is None or position is None:
             return False
         return abs(here[2] - up_m) <= SETTLED_M and abs(position.velocity_ned_m_s[2]) <= SETTLED_M_S
 
-    def _climb_by_setpoints(self, ground_amsl_m: float) -> Steps[None]:
+    def _climb_by_setpoints(self, ground_amsl_m: float) -> Steps[bool]:
         timeline, vehicle, control = self._timeline, self._vehicle, self._control
-        here = vehicle.position_enu_m()
-        assert here is not None
+        here = yield from self._place()
         up_m = float(self._flight.plan.trajectory.evaluate(0.0)[2])
         line = StraightLine(
             self._flight.plan,
@@ -93,14 +103,17 @@ class TakeOff:
         period_s = 1.0 / self._request.rate_hz
         deadline_s = timeline.now_s + line.duration_s + 60.0
         while not (climb.finished and self._at_height(up_m)):
-            if not vehicle.armed or not vehicle.follows:
-                return
+            # One HEARTBEAT alone decides nothing; what became of it is judged in the air.
+            if (not vehicle.armed or not vehicle.follows) and vehicle.monitor.beats_alike >= 2:
+                return False
             if timeline.now_s >= deadline_s:
                 timeline.alarm("take-off stuck", height_m=up_m + self._flight.plan.plane.alt_amsl_m - ground_amsl_m)
-                return
-            climb.step(period_s, 1.0)
+                return True
+            # Not on, while it is not known where the vehicle is.
+            climb.step(period_s, 0.0 if vehicle.position is None else 1.0)
             control.send_setpoint(climb.setpoint())
             yield
+        return False
 
     def _enter(self, mode: str, streamed: Setpoint | None) -> Steps[None]:
         """Enter a mode, disarmed; believes the HEARTBEAT. Raises `Refused`."""
@@ -121,6 +134,7 @@ class TakeOff:
         deadline_s = timeline.now_s + self._request.arm_timeout_s
         outcome = "no answer"
         while timeline.now_s < deadline_s:
+            yield from self._stand_down_if_unfit()
             ticket = self._control.start_command("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
             yield from self._streaming(streamed, lambda t=ticket: t.finished or vehicle.armed, MODE_WAIT_S)  # type: ignore[misc]
             outcome = ticket.outcome
@@ -128,9 +142,31 @@ class TakeOff:
             # The next beat of a 1 Hz HEARTBEAT shows it; a refusal is asked again later.
             yield from self._streaming(streamed, lambda: vehicle.armed, 2.0)
             if vehicle.armed:
+                self._evidence.armed()
+                yield from self._stand_down_if_unfit()
                 return
         yield from self._restore()
         raise Refused(f"the vehicle does not arm ({outcome}): its own words are in the flight's events")
+
+    def _place(self) -> Steps[tuple[float, float, float]]:
+        """Where the vehicle is; waited for a moment. Raises `Refused`."""
+        yield from wait_until(self._timeline, lambda: self._vehicle.position is not None, UNFIT_WAIT_S)
+        here = self._vehicle.position_enu_m()
+        if here is None:
+            yield from self._restore()
+            raise Refused("nothing is armed: the vehicle's position is not known")
+        return here
+
+    def _stand_down_if_unfit(self) -> Steps[None]:
+        """Motors off, and the end, where nothing may be armed any more. Raises `Refused`."""
+        yield from wait_until(self._timeline, lambda: not self._evidence.unfit(), UNFIT_WAIT_S)
+        why = self._evidence.unfit()
+        if not why:
+            return
+        if self._vehicle.armed:
+            yield from answered(self._control.start_command("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,)))
+        yield from self._restore()
+        raise Refused(f"launch refused: {why}")
 
     def _streaming(self, setpoint: Setpoint | None, condition: Callable[[], bool], timeout_s: float) -> Steps[None]:
         """Wait for a condition, streaming a setpoint meanwhile where one is given."""

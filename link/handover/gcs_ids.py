@@ -68,6 +68,11 @@ def present(values: Mapping[str, Parameter | None]) -> GcsIds | None:
     return GcsIds(int(low.value), None if high is None else int(high.value), int(options.value))
 
 
+def named(ids: GcsIds, values: Mapping[str, Parameter | None]) -> dict[str, int]:
+    """GCS ids by the names this vehicle has for them."""
+    return {p.name: int(getattr(ids, FIELDS[key])) for key in KEYS if (p := values.get(key)) is not None}
+
+
 def wanted(system_ids: Mapping[str, int], before: GcsIds) -> GcsIds:
     """The range of the plan's stations, enforced. Without a range, that of one station."""
     ids = sorted(system_ids.values())

@@ -170,11 +170,16 @@ class Handover:
             return self.attempts == 1 and self._timeline.now_s - self._requested_s <= 0.5 * self.attempt_s
         return self.state is HandoverState.READY and self.attempts == 0
 
-    def missing(self) -> str:
-        """What the next station still lacks; empty when its link is proved and both sides agree."""
+    def missing(self, *, hurried: bool = False) -> str:
+        """What the next station still lacks; empty when its link is proved and both sides agree.
+
+        Where the vehicle is must be known, and its estimate good, unless it is ``hurried``: the old link has failed.
+        """
         now_s, vehicle, station = self._timeline.now_s, self._vehicle, self.window.to_station
         if not self._accepted:
             return "operator's word"
+        if not hurried and (vehicle.doubt or vehicle.position is None):
+            return vehicle.doubt or "a position of the vehicle"
         if not vehicle.monitor.heard_within(now_s, station, LINK_HEARD_S):
             return "telemetry over its link"
         proven = vehicle.monitor.proven_within(now_s, station, LINK_PROVEN_S)
@@ -196,11 +201,11 @@ class Handover:
         if self.done or not (window.near(time_s) or hurried):
             return
         if self.state in (HandoverState.PLANNED, HandoverState.LATE, HandoverState.FAILED, HandoverState.TIMED_OUT):
-            if self._timeline.now_s >= self._retry_s and not self.missing():
+            if self._timeline.now_s >= self._retry_s and not self.missing(hurried=hurried):
                 self._event(HandoverEvent.PROVED)
             elif self.state is HandoverState.PLANNED and window.due(time_s):
                 self._event(HandoverEvent.DUE, f"{window.to_station} lacks {self.missing()}")
-        elif self.state is HandoverState.READY and (missing := self.missing()):
+        elif self.state is HandoverState.READY and (missing := self.missing(hurried=hurried)):
             self._event(HandoverEvent.UNPROVED, f"{window.to_station} lacks {missing}")
         if self.state is HandoverState.READY and (window.due(time_s) or hurried) and window.covered_by_next(time_s):
             self._ask_for_control(at_once)

@@ -7,6 +7,7 @@ import math
 from gcs.flight import HandoverState, TransitionError
 from link.handover.handover import Handover, HandoverWindow, handover_windows
 from link.session.context import FlightContext
+from link.session.coverage import choices
 from link.session.request import FlightRequest, HandoverWay
 
 WINDOW_GUARD_S = 0.5
@@ -33,6 +34,8 @@ class HandoverChain:
         self._control = flight.control
         self.windows = handover_windows(flight.plan)
         self.leg = 0
+        self.done_forward = self.done_back = 0
+        """Handovers confirmed so far, along the plan and back."""
         self.handover: Handover | None = None
         self._accepted: set[int] = set()
         self._refused: dict[int, str] = {}
@@ -89,6 +92,8 @@ class HandoverChain:
             if window is None or not window.covered_by_next(time_s):
                 continue
             if not self._vehicle.monitor.proven_within(timeline.now_s, window.to_station, TAKEOVER_PROVEN_S):
+                continue
+            if window.to_station not in choices(self._flight):
                 continue
             self._distrusted_s[window.from_station] = timeline.now_s
             self._for(window).step(time_s, at_once=reason)
@@ -153,4 +158,8 @@ class HandoverChain:
     def _settle(self) -> None:
         if self.handover is not None and self.handover.done:
             self.leg = self.handover.window.to_leg
+            if self.handover.window.forward:
+                self.done_forward += 1
+            else:
+                self.done_back += 1
             self.handover = None

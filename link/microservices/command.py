@@ -7,6 +7,7 @@ it had its effect (PX4 acknowledges OFFBOARD and stays where it is), so whoever 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -70,6 +71,7 @@ class Commander:
         self._send = send
         self._system_ids = system_ids
         self._tickets: dict[int, Ticket] = {}
+        self._sent_s: dict[int, float] = {}
 
     def start(
         self,
@@ -93,12 +95,25 @@ class Commander:
         self._attempt(now_s, ticket)
         return ticket
 
+    def waits_for(self, command: int) -> bool:
+        """Whether a command of this number is under way."""
+        return command in self._tickets
+
+    def sent_s(self, command: int) -> float:
+        """When a command of this number last left; minus infinity for never."""
+        return self._sent_s.get(command, -math.inf)
+
     def cancel(self, ticket: Ticket) -> None:
         """Stop asking."""
         if self._tickets.get(ticket.command) is ticket:
             del self._tickets[ticket.command]
         if not ticket.finished:
             self._finish(ticket, None, "cancelled")
+
+    def cancel_all(self) -> None:
+        """Stop asking for anything: what was asked before must not come about after."""
+        for ticket in list(self._tickets.values()):
+            self.cancel(ticket)
 
     def on_ack(self, now_s: float, ack: Any) -> Ticket | None:
         """Take a COMMAND_ACK of the vehicle; the ticket it belongs to, None when it answers nothing we wait for.
@@ -140,6 +155,7 @@ class Commander:
             self._finish(ticket, None, "control moved on")
             return
         ticket.sent += 1
+        self._sent_s[ticket.command] = now_s
         ticket.next_s = now_s + ticket.retry_s
 
     @staticmethod

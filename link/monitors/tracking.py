@@ -27,6 +27,8 @@ BLIND_S = 5.0
 """So long without a position that can be judged, the vehicle is flown blind. Sped up beyond `BLIND_SPEEDUP`, as long on
 the wall's clock as at that: what counts there is how this machine keeps up."""
 BLIND_SPEEDUP = 5.0
+NEAR_M = 8.0
+"""So near to its reference the vehicle is where it was asked to be."""
 LAG_TIME_S = 3.0
 """Time in which the lag is worked off."""
 DELAY_S = 0.25
@@ -61,10 +63,13 @@ class LagMonitor:
         self._boot_s = -math.inf
         self._judged_s = timeline.now_s
         self.tracking: Tracking | None = None
+        self.asked_down_m_s = 0.0
+        """How fast it was asked to descend at that moment."""
         self.worst_m = 0.0
         self._squares = 0.0
         self._lost_since_s: float | None = None
         self._count = 0
+        self._near_s = timeline.now_s
 
     @property
     def rms_m(self) -> float:
@@ -78,13 +83,13 @@ class LagMonitor:
     def forget(self) -> None:
         """Start anew: the stream was interrupted."""
         self._sent.clear()
-        self._judged_s = self._timeline.now_s
+        self._judged_s = self._near_s = self._timeline.now_s
         self.tracking = self._lost_since_s = None
 
     def update(self) -> None:
         """Judge the newest position, if there is a new one."""
         timeline, vehicle = self._timeline, self._vehicle
-        position = vehicle.monitor.position
+        position = vehicle.position
         if position is None or position.boot_s <= self._boot_s or len(self._sent) < 2:
             return
         time_s = vehicle.monitor.our_time_s(position.boot_s)
@@ -109,6 +114,9 @@ class LagMonitor:
         error = float(np.linalg.norm(off))
         self._judged_s = timeline.now_s
         self.tracking = Tracking(time_s, error, behind, beside, flown)
+        self.asked_down_m_s = -float(velocity[2])
+        if error <= NEAR_M:
+            self._near_s = timeline.now_s
         if not self.lost:
             self._lost_since_s = None
         elif self._lost_since_s is None:
@@ -140,6 +148,27 @@ class LagMonitor:
             return 1.0
         wanted = tracking.speed_along_m_s - (tracking.behind_m - allowed_m) / LAG_TIME_S
         return max(0.0, min(1.0, wanted / speed_m_s))
+
+    @property
+    def near(self) -> bool:
+        """Whether the vehicle is known to be where it was asked to be, to `NEAR_M`."""
+        tracking = self.tracking
+        return self._vehicle.position is not None and tracking is not None and tracking.error_m <= NEAR_M
+
+    @property
+    def away_s(self) -> float:
+        """For how long the vehicle has not been known to be where it was asked to be."""
+        return self._timeline.now_s - self._near_s
+
+    def settled(self, within_m: float, slower_m_s: float) -> bool:
+        """Whether the vehicle is known to stand where it was asked to be."""
+        tracking, position = self.tracking, self._vehicle.position
+        return (
+            tracking is not None
+            and position is not None
+            and tracking.error_m <= within_m
+            and position.speed_m_s <= slower_m_s
+        )
 
     @property
     def off_m(self) -> float:

@@ -15,8 +15,8 @@ FOREIGN_COUNT, FOREIGN_WITHIN_S, FOREIGN_AGAIN_S = 2, 2.0, 10.0
 """So many targets this far from every setpoint of ours within so long are told, and told again at most so often.
 
 The setpoint of a foreign ground station holds until our next one. With the echoes of
-`link.director.launch.STREAMED_MESSAGES` one that holds for a quarter of the time is seen twice within a second, for an
-eighth of it within two; less is seen as the echoes drift through the ticks, and moves the vehicle as little.
+`link.telemetry.streams.STREAMED_MESSAGES` one that holds for a quarter of the time is seen twice within a second, for
+an eighth of it within two; less is seen as the echoes drift through the ticks, and moves the vehicle as little.
 """
 GRACE_S = 1.0
 """Until our first setpoints are in, the vehicle rightly shows a target of its own, as after a take-off."""

@@ -43,6 +43,13 @@ class Check:
             return self.fix
         return "" if self.set is None else f"set {self.set[0]} to {self.set[1]:g}"
 
+    @property
+    def said(self) -> str:
+        """All of it in a line."""
+        required = f" (required: {self.required})" if self.required else ""
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.name}: {self.message}{required}{remedy}"
+
     def to_document(self) -> dict[str, object]:
         """As a JSON object."""
         return {

@@ -18,12 +18,14 @@ from link.microservices.parameter import Asking
 from link.preflight.check import Check, Level
 from link.preflight.failsafe_parameters import judge_failsafes, judge_rally_limit
 from link.session.request import FlightRequest
+from link.telemetry.plausibility import HomePlace, Position, apart_m
 
 GRAVITY_M_S2 = 9.80665
 MIN_START_HEIGHT_M = 3.0
 """The plan's start must be this far above the vehicle's ground: below it a take-off is no take-off."""
 BATTERY_LOW_PERCENT = 30
 CLOCK_TOLERANCE_S = 1.0
+HOME_NEAR_M = 50.0
 
 
 def judge_parameters(
@@ -142,6 +144,26 @@ def judge_origin(origin: EkfOrigin | None) -> Check:
         return Check("EKF origin", Level.ERROR, "the vehicle has none yet", None, "told by the vehicle", fix=fix)
     text = f"{origin.lat_deg:.7f}, {origin.lon_deg:.7f}, {origin.alt_amsl_m:.1f} m AMSL"
     return Check("EKF origin", Level.PASS, text, text, "told by the vehicle")
+
+
+def judge_estimate(lacks: str) -> Check:
+    """Whether its receiver and estimator know where it is: it would not arm, or not fly straight, without."""
+    level = Level.FAILURE if lacks else Level.PASS
+    fix = "wait for satellites, with a free view of the sky; look at its receiver and its own words"
+    return Check("position estimate", level, lacks or "nothing it reports is against it", None, "good", fix=fix)
+
+
+def judge_home(home: HomePlace | None, here: Position | None) -> Check:
+    """Where the autopilot's own return leads: its home, which is to be where the vehicle stands."""
+    required = f"within {HOME_NEAR_M:g} m of the vehicle"
+    if home is None or here is None:
+        fix = "let the crew look at home in another ground station: its own return leads there"
+        return Check("home", Level.WARNING, "the vehicle does not tell its home", None, required, fix=fix)
+    away_m = apart_m(home.lat_deg, home.lon_deg, here.lat_deg, here.lon_deg)
+    fits = away_m <= HOME_NEAR_M
+    message = f"home is {away_m:.0f} m from the vehicle"
+    fix = "set home where the vehicle stands (MAV_CMD_DO_SET_HOME): its own return leads there"
+    return Check("home", Level.PASS if fits else Level.FAILURE, message, round(away_m, 1), required, fix=fix)
 
 
 def judge_plan(plan: Plan, stations: tuple[str, ...], *, operator_commands: bool) -> Check:

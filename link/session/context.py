@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from gcs.plan import Plan
 from link.autopilot.registry import PROFILES
 from link.clock import UtcScale
@@ -13,7 +15,8 @@ from link.microservices.command import Commander
 from link.session.control import Control
 from link.session.request import FlightRequest
 from link.session.timeline import Timeline
-from link.session.vehicle import Vehicle
+from link.session.vehicle import PATIENT_SPEEDUP, Vehicle
+from link.telemetry.plausibility import Reach
 from link.telemetry.setpoint_echo import EchoTracker
 from link.telemetry.vehicle_monitor import VehicleMonitor
 from link.transport.gate import TransmitterGate
@@ -21,6 +24,16 @@ from link.wire.codec import StationCodec
 
 ECHO_MEMORY_S = 5.0
 """For so long a setpoint is remembered that the vehicle may repeat."""
+
+FAR_M = 100_000.0
+"""Farther than this from the plan no vehicle of the flight is."""
+
+
+def _reach(plan: Plan) -> Reach:
+    """Where anything the vehicle says of places may be."""
+    path = plan.trajectory.evaluate(np.linspace(0.0, plan.mission_time_s, 200))
+    farthest_m = float(np.hypot(path[:, 0], path[:, 1]).max())
+    return Reach(plan.plane.lat_deg, plan.plane.lon_deg, 1.02 * farthest_m + FAR_M)
 
 
 @dataclass
@@ -46,8 +59,11 @@ class FlightContext:
         profile = PROFILES[request.autopilot]
         timeline = Timeline(UtcScale(epoch_unix_s), now_s)
         own_ids = frozenset(system_ids.values()) | {vehicle_id}
-        monitor = VehicleMonitor(request.stations, vehicle_id, own_ids, request.urls)
-        vehicle = Vehicle(profile, monitor, plan.plane)
+        monitor = VehicleMonitor(
+            request.stations, vehicle_id, own_ids, request.urls, _reach(plan), speedup=request.speedup
+        )
+        patience = max(1.0, request.speedup / PATIENT_SPEEDUP)
+        vehicle = Vehicle(profile, monitor, plan.plane, now_s=now_s, patience=patience)
         gate = TransmitterGate(
             {station: codec.encode for station, codec in codecs.items()},
             {s: StationCodec(vehicle_id, 190, signing=codec.signing).encode for s, codec in codecs.items()},

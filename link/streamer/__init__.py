@@ -1,6 +1,22 @@
 """The streaming process and its supervisor."""
 
+from link.streamer.flight_register import RegisteredFlight, ask, flight_on, registered_flights
 from link.streamer.scheduling import raise_priority
-from link.streamer.supervisor import FlightResult, RunningFlight, attach, start_flight
+from link.streamer.supervisor import FlightResult, RunningFlight, attach, epitaph, events_of, start_flight
+from link.streamer.vehicle_desk import VehicleDesk, open_desk
 
-__all__ = ["FlightResult", "RunningFlight", "attach", "raise_priority", "start_flight"]
+__all__ = [
+    "FlightResult",
+    "RegisteredFlight",
+    "RunningFlight",
+    "VehicleDesk",
+    "ask",
+    "attach",
+    "epitaph",
+    "events_of",
+    "flight_on",
+    "open_desk",
+    "raise_priority",
+    "registered_flights",
+    "start_flight",
+]

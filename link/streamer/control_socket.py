@@ -83,11 +83,11 @@ class ControlServer:
 
     @property
     def attended(self) -> bool | None:
-        """Whether somebody is connected, when that has changed since the last look; None when it has not.
+        """Whether somebody attends (is told of events), when that has changed since the last look; None: it has not.
 
-        The time before the first client is not a change.
+        The time before the first is not a change; who only asks does not attend.
         """
-        now = bool(self._clients)
+        now = any(client.subscribed for client in self._clients.values())
         if self._told is None and not now:
             return None
         if now == self._told:

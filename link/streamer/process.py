@@ -42,13 +42,14 @@ from link.clock import FlightClock, PacedClock
 from link.director.core import FlightCore
 from link.director.plan_exchange import NextPlan
 from link.errors import FlightRequestError, LinkError
+from link.files.change_journal import FileJournal
 from link.session.request import FlightRequest
 from link.streamer.control_socket import SOCKET_FILE, ControlServer
 from link.streamer.recorder import Recorder
 from link.streamer.scheduling import lock_memory, raise_priority
 from link.transport.endpoint import Endpoint
 from link.transport.opening import open_endpoint
-from link.transport.port_lock import LinkLocks
+from link.transport.port_lock import LinkLocks, VehicleLock
 from link.wire.codec import StationCodec
 from link.wire.signing import Signing, SigningKey
 from link.wire.signing_timestamps import SigningStore
@@ -128,6 +129,7 @@ class Streamer:
         self.run_dir = run_dir
         self.endpoints = open_links(request)
         self.locks = LinkLocks(self.endpoints)
+        self.vehicle_lock = VehicleLock()
         self.clock = FlightClock() if request.speedup == 1.0 else PacedClock(request.speedup)
         epoch_unix_s = time.time()
         codecs = make_codecs(request, run_dir)
@@ -139,6 +141,8 @@ class Streamer:
             now_s=self.clock.now_s(),
             epoch_unix_s=epoch_unix_s,
             on_frame=self.recorder.frame,
+            journal=FileJournal(run_dir=run_dir),
+            claim=self.vehicle_lock.claim,
         )
         self.control = ControlServer(run_dir / SOCKET_FILE)
         self.events: list[dict[str, Any]] = []
@@ -288,6 +292,7 @@ class Streamer:
             with contextlib.suppress(OSError):  # as a killed process leaves them: in memory
                 store.close()
         self.locks.release()
+        self.vehicle_lock.release()
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,10 @@ from gcs.errors import InputFault
 from gcs.flight import EventKind, FlightEvent, FlightState, Journal, TransitionError
 from gcs.timestamps import utc_now_text
 from link.errors import FlightRequestError, SupervisorError
+from link.files.change_journal import FileJournal, runs_in
 from link.session.request import FlightRequest
 from link.streamer.control_socket import SOCKET_FILE, connect
+from link.streamer.flight_register import register_flight
 
 START_TIMEOUT_S = 30.0
 REPLY_TIMEOUT_S = 10.0
@@ -57,7 +59,7 @@ def start_flight(
     after the flight. Raises `FlightRequestError` when the streamer refuses the request (a link taken, unsigned and so
     on), `SupervisorError` when it cannot be started.
     """
-    folder = run_dir if run_dir is not None else Path(tempfile.mkdtemp(prefix="skyrelay-flight-"))
+    folder = run_dir.absolute() if run_dir is not None else Path(tempfile.mkdtemp(prefix="skyrelay-flight-"))
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if (folder / "request.json").exists():
         raise SupervisorError(f"run folder {folder} has been flown from; choose another")
@@ -81,6 +83,7 @@ def start_flight(
         process.kill()
         process.wait()
         raise
+    register_flight(request, folder, process.pid)
     return RunningFlight(folder, connection, process.pid, process, journal, on_event, after=0)
 
 
@@ -224,7 +227,7 @@ class RunningFlight:
     def kill(self) -> None:
         """End the streamer at once (SIGKILL): silence, and the vehicle's failsafe acts. For one that hangs."""
         with contextlib.suppress(ProcessLookupError):
-            if self._process is not None or _is_streamer(self.pid, self.run_dir):
+            if self._process is not None or runs_in(self.pid, self.run_dir):
                 os.kill(self.pid, signal.SIGKILL)
         self._gone.wait(REPLY_TIMEOUT_S)
 
@@ -272,17 +275,22 @@ class RunningFlight:
             reason = "" if self.last_event is None else str(self.last_event.data.get("reason", ""))
             return FlightResult(FlightState(result["state"]), int(result["exit_code"]), reason, result)
         # It died without a result: a fault of ours on the ground, a lost flight in the air.
+        self._take_rest()
         last = self.last_event
-        airborne = last is not None and last.state.airborne
+        airborne = last is not None and (last.state.airborne or last.state is FlightState.ARMING)
+        state = FlightState.LOST if airborne else FlightState.REFUSED
         reason = f"the streamer died (exit code {code}); see {self.run_dir / 'streamer.log'}"
-        if last is not None:
-            utc = utc_now_text()
-            state = FlightState.LOST if airborne else last.state
-            data = {"what": "streamer died", "exit_code": code}
-            self._deliver(
-                FlightEvent(self._sequence + 1, EventKind.ALARM, last.time_s, last.t_plus_s, utc, state, data)
-            )
+        if last is None or not last.state.ended:
+            at = (0.0, None) if last is None else (last.time_s, last.t_plus_s)
+            data = {"what": "streamer died", "exit_code": code, **epitaph(self.run_dir, airborne=airborne)}
+            self._deliver(FlightEvent(self._sequence + 1, EventKind.ALARM, *at, utc_now_text(), state, data))
         return FlightResult(FlightState.LOST, 4 if airborne else 1, reason)
+
+    def _take_rest(self) -> None:
+        """Deliver what the streamer wrote and could not say any more."""
+        for event in events_of(self.run_dir):
+            if event.sequence > self._sequence:
+                self._deliver(event)
 
     def _exit_code(self) -> int | None:
         if self._process is not None:
@@ -292,15 +300,34 @@ class RunningFlight:
                 self._process.kill()
                 return self._process.wait()
         deadline = time.monotonic() + REPLY_TIMEOUT_S
-        while time.monotonic() < deadline and _is_streamer(self.pid, self.run_dir):
+        while time.monotonic() < deadline and runs_in(self.pid, self.run_dir):
             time.sleep(0.02)
         return None
 
 
-def _is_streamer(pid: int, run_dir: Path) -> bool:
-    """Whether a process number is still that of this folder's streamer: numbers are given out again."""
+def events_of(run_dir: Path) -> Iterator[FlightEvent]:
+    """Every whole event of a run folder, in order; a line torn by a full disk costs itself alone."""
     try:
-        command = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+        lines = (run_dir / "events.jsonl").read_bytes().splitlines()
     except OSError:
-        return False
-    return str(run_dir).encode() in command
+        return
+    for line in lines:
+        with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError):
+            yield FlightEvent.from_document(json.loads(line))
+
+
+def epitaph(run_dir: Path, *, airborne: bool) -> dict[str, Any]:
+    """What a person must know when a streamer died: what the vehicle does now, what it keeps, how to give that back."""
+    does = (
+        "nobody commands it: its own failsafe returns or lands it, as judged at preflight" if airborne else "disarmed"
+    )
+    notes = [one for one in FileJournal().pending() if one.run_dir == str(run_dir)]
+    kept = [text for one in notes for text in one.texts]
+    told: dict[str, Any] = {"vehicle": does, "keeps": kept}
+    if any(one.gcs_ids for one in notes):
+        ids = sorted({station for one in notes for station in one.stations})
+        told["hears"] = f"stations {ids[0]} to {ids[-1]} alone: any other ground station gets no answer"
+    if notes:
+        armed = " --ids-while-armed" if airborne else ""
+        told["fix"] = f"{notes[0].remedy}{armed}" + ("; on the ground again without that option" if armed else "")
+    return told

@@ -79,6 +79,10 @@ class LinkPath:
         """A probe went out."""
         self._probes.append(_Probe(nonce, now_s))
 
+    def probe_sent_s(self, nonce: int) -> float | None:
+        """When the probe of a number went out; None for one this path did not send lately."""
+        return next((probe.sent_s for probe in reversed(self._probes) if probe.nonce == nonce), None)
+
     def answered(self, nonce: int, now_s: float) -> bool:
         """A probe's answer came back over this path; False for one this path did not send, or that was answered."""
         for probe in reversed(self._probes):

@@ -8,6 +8,7 @@ from typing import Any
 
 from link.autopilot.local_frame import EkfOrigin
 from link.telemetry.link_path import FAILOVER_S, LinkPath, LinkQuality
+from link.telemetry.plausibility import same_origin
 
 
 class StationLink:
@@ -20,6 +21,18 @@ class StationLink:
         """The path that sends."""
         self.origin: EkfOrigin | None = None
         self.origin_s = -math.inf
+        self.origin_told = 0
+        """How often in a row the origin was told so: another one than before is believed when told twice."""
+
+    def tell_origin(self, now_s: float, origin: EkfOrigin) -> None:
+        """The vehicle told its EKF origin over this link."""
+        same = self.origin is not None and same_origin(self.origin, origin)
+        self.origin_told = self.origin_told + 1 if same else 1
+        self.origin, self.origin_s = origin, now_s
+
+    def forget_origin(self) -> None:
+        """The vehicle restarted."""
+        self.origin, self.origin_told = None, 0
 
     @property
     def heard_s(self) -> float:

@@ -2,7 +2,9 @@
 
 Messages of the vehicle's autopilot (its system id, component 1) alone count; its gimbals and companions send
 heartbeats too. The same message comes once over every link and, over radio, late or out of order: what carries a
-time stamp is taken once and never backwards; a stamp that goes far back means that the autopilot has restarted.
+time stamp is taken once and never backwards (`link.telemetry.boot_clock`). What cannot be is not believed
+(`link.telemetry.plausibility`): it changes nothing, is kept as a reason to tell, and never raises. Every figure has the
+time it was heard at.
 """
 
 from __future__ import annotations
@@ -16,35 +18,15 @@ from typing import Any
 from link.autopilot.local_frame import EkfOrigin
 from link.autopilot.profile import AUTOPILOT_COMPONENT
 from link.dialect import mavlink
+from link.telemetry.board import BoardWatch
+from link.telemetry.boot_clock import BootClock
+from link.telemetry.plausibility import HomePlace, Position, PositionGate, Reach, no_place
 from link.telemetry.station_link import StationLink
 
-REBOOT_BACK_S = 3.0
-"""A time stamp this far behind is no reordering."""
 TEXT_CHUNK = 50
 SAME_TEXT_S = 2.0
-OFFSET_WINDOW_S = 20.0
 
 GROUND_STATION_TYPES = (mavlink.MAV_TYPE_GCS,)
-
-
-@dataclass(frozen=True, slots=True)
-class Position:
-    """GLOBAL_POSITION_INT (33): degrees, metres AMSL, m/s true north/east/down.
-
-    ``boot_s`` is the vehicle's clock, ``heard_s`` ours when it came.
-    """
-
-    boot_s: float
-    heard_s: float
-    lat_deg: float
-    lon_deg: float
-    alt_amsl_m: float
-    velocity_ned_m_s: tuple[float, float, float]
-
-    @property
-    def speed_m_s(self) -> float:
-        """Speed over ground and up, together."""
-        return math.hypot(*self.velocity_ned_m_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,12 +51,17 @@ class Heartbeat:
         """MAV_MODE_FLAG_SAFETY_ARMED."""
         return bool(self.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
+    @property
+    def shows(self) -> tuple[bool, int]:
+        """Armed or not, and the mode."""
+        return self.armed, self.custom_mode
+
 
 class VehicleMonitor:
     """Everything heard, merged.
 
     ``stations`` are the station ids of a flight, ``own_system_ids`` their system ids, ``urls`` the link paths of each
-    where there are several.
+    where there are several, ``reach`` where anything of the vehicle may be (None: anywhere on earth).
     """
 
     def __init__(
@@ -83,26 +70,42 @@ class VehicleMonitor:
         vehicle_system_id: int,
         own_system_ids: frozenset[int],
         urls: Mapping[str, Sequence[str]] | None = None,
+        reach: Reach | None = None,
+        *,
+        speedup: float = 1.0,
     ) -> None:
         self.vehicle_system_id = vehicle_system_id
         self.links = {station: StationLink(station, (urls or {}).get(station, ("",))) for station in stations}
         self.heartbeat: Heartbeat | None = None
-        self.position: Position | None = None
+        self.clock = BootClock()
+        self.places = PositionGate(reach)
+        self.home: HomePlace | None = None
+        self.refused: dict[str, str] = {}
+        """Why what was told of a place was not believed, by what it was; taken by `take_refused`."""
+        self.kinds_s: dict[int, float] = {}
+        """When each kind of message was last heard, by its id."""
         self.version: Any = None
         self.unix_s: tuple[float, float] | None = None
         """The vehicle's UTC (SYSTEM_TIME) and our clock when it came; None while it has none."""
         self.landed_state: int = 0
+        self.landed_s, self.landed_since_s = -math.inf, math.inf
+        """When the landed state was last told, and since when it has been the same."""
+        self.gps_fix: tuple[float, int] | None = None
+        """GPS_RAW_INT: when it came, and the fix type."""
+        self.estimator: tuple[float, bool] | None = None
+        """EKF_STATUS_REPORT or ESTIMATOR_STATUS: when it came, and whether it has a position to fly by."""
+        self.sensors: tuple[float, int] | None = None
+        """SYS_STATUS: when it came, and the sensors in use that are not well."""
         self.battery_percent: int | None = None
         self.control_main: int | None = None
         self.control_s = -math.inf
         self.target: Any = None
         self.target_s = -math.inf
-        self.reboots = 0
+        self.board = BoardWatch(speedup)
         self.foreign_stations: dict[int, float] = {}
         self._own = own_system_ids
-        self._boot_ms = -1
-        self._behind: deque[float] = deque(maxlen=3)
-        self._offset: list[tuple[float, float]] = []
+        self._reach = reach
+        self._beats: dict[str, tuple[tuple[bool, int], int]] = {}
         self._texts: list[tuple[int, str]] = []
         self._recent_texts: deque[tuple[float, int, str]] = deque(maxlen=32)
         self._chunks: dict[tuple[str, int], dict[int, str]] = {}
@@ -126,45 +129,47 @@ class VehicleMonitor:
         link = self.links[station_id]
         path = link.path(url)
         path.heard(now_s, message.get_seq())
+        self.board.on_frame(now_s, path.url, message)
+        if kind == "AUTOPILOT_VERSION":
+            self.board.on_version(now_s, path.url, message)
+        self.kinds_s[message.get_msgId()] = now_s
+        self.clock.heard(now_s, booting=kind == "HEARTBEAT" and message.system_status in _BOOTING)
         if kind == "TIMESYNC":
             if message.tc1 != 0:
+                sent_s = path.probe_sent_s(message.ts1)
+                if sent_s is not None:
+                    self.board.on_timesync(now_s, sent_s, message.tc1)
                 path.answered(message.ts1, now_s)
+                self._in_order(now_s, kind, message.tc1 * 1e-9)
             return True
-        fresh = self._in_order(now_s, getattr(message, "time_boot_ms", None))
+        boot_ms = getattr(message, "time_boot_ms", None)
+        fresh = boot_ms is None or self._in_order(now_s, kind, boot_ms * 1e-3)
         handler = _HANDLERS.get(kind)
         if handler is not None:
             handler(self, now_s, link, message, fresh)
         return True
 
-    def _in_order(self, now_s: float, boot_ms: int | None) -> bool:
-        """Whether a stamp is newer than, or as new as, the newest; notices a restart."""
-        if boot_ms is None:
-            return True
-        if boot_ms >= self._boot_ms:
-            self._boot_ms = boot_ms
-            self._behind.clear()
-            self._note_offset(now_s, boot_ms * 1e-3)
-            return True
-        if self._boot_ms - boot_ms < REBOOT_BACK_S * 1e3:
-            return False
-        # A single frame that was on its way for seconds is no restart; a few in a row are.
-        self._behind.append(now_s)
-        if len(self._behind) == self._behind.maxlen:
-            self.reboots += 1
-            self._boot_ms = boot_ms
-            self._behind.clear()
-            self._offset.clear()
-            self.position = None
-            for link in self.links.values():
-                link.origin = None
-        return False
+    @property
+    def position(self) -> Position | None:
+        """Where it last said it was, however long ago (``heard_s``), where that can be."""
+        return self.places.position
 
-    def _note_offset(self, now_s: float, boot_s: float) -> None:
-        offset = now_s - boot_s
-        if not self._offset or now_s - self._offset[-1][0] > OFFSET_WINDOW_S:
-            self._offset = [*self._offset[-1:], (now_s, offset)]
-        elif offset < self._offset[-1][1]:
-            self._offset[-1] = (self._offset[-1][0], offset)
+    @property
+    def reboots(self) -> int:
+        """How often the autopilot has restarted."""
+        return self.clock.reboots
+
+    def _in_order(self, now_s: float, kind: str, boot_s: float) -> bool:
+        """Whether a stamp is on the vehicle's clock and as new as its kind's newest; notices a restart."""
+        before = self.clock.reboots
+        fresh = self.clock.stamp(now_s, kind, boot_s)
+        if self.clock.reboots != before:
+            self.places.forget()
+            self.home = self.target = self.gps_fix = self.estimator = self.sensors = None
+            self.landed_state, self.landed_since_s = 0, math.inf
+            for link in self.links.values():
+                link.forget_origin()
+        return fresh
 
     def our_time_s(self, boot_s: float) -> float | None:
         """Our clock when the vehicle's showed ``boot_s``.
@@ -172,10 +177,11 @@ class VehicleMonitor:
         By the fastest message lately, less half of the shortest round trip lately: right where there and back take
         equally long. A message that was faster than that path's own (over another link) keeps it from being early.
         """
-        if not self._offset:
+        time_s = self.clock.our_time_s(boot_s)
+        if time_s is None:
             return None
         latencies = [c.least_latency_s for link in self.links.values() for c in link.paths if c.round_trip_s]
-        return boot_s + min(offset for _, offset in self._offset) - min(latencies, default=0.0)
+        return time_s - min(latencies, default=0.0)
 
     def probe(self, now_s: float, station_id: str) -> Any:
         """A TIMESYNC of a station, for all its paths; its answer can only be the answer to it (matched by ``ts1``)."""
@@ -205,37 +211,64 @@ class VehicleMonitor:
         """When the vehicle was last heard over any link."""
         return max(link.heard_s for link in self.links.values())
 
+    def take_refused(self) -> dict[str, str]:
+        """What was told of places and not believed since the last call, and why."""
+        refused, self.refused = self.refused, {}
+        return refused
+
+    @property
+    def beats_alike(self) -> int:
+        """How many HEARTBEATs in a row of one link have shown what the newest shows."""
+        beat = self.heartbeat
+        return 0 if beat is None else max(n for shown, n in self._beats.values() if shown == beat.shows)
+
     # -- messages -----------------------------------------------------------------------------------------------------
 
     def _on_heartbeat(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        self.heartbeat = Heartbeat.from_message(now_s, m)
+        self.heartbeat = beat = Heartbeat.from_message(now_s, m)
+        shown, count = self._beats.get(link.station_id, (beat.shows, 0))
+        self._beats[link.station_id] = (beat.shows, count + 1 if shown == beat.shows else 1)
 
     def _on_global_position(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        # Later than other messages is not too late: a place is judged by its own stamp.
-        if self.position is not None and m.time_boot_ms * 1e-3 <= self.position.boot_s:
+        if not fresh or (self.position is not None and m.time_boot_ms * 1e-3 <= self.position.boot_s):
             return
-        self.position = Position(
-            m.time_boot_ms * 1e-3,
-            now_s,
-            m.lat * 1e-7,
-            m.lon * 1e-7,
-            m.alt * 1e-3,
-            (m.vx * 0.01, m.vy * 0.01, m.vz * 0.01),
-        )
+        if not self.places.take(Position.from_message(now_s, m)):
+            self.refused["position"] = self.places.refused
 
     def _on_target(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         if fresh:
             self.target, self.target_s = m, now_s
 
     def _on_origin(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        link.origin = EkfOrigin.from_message(m)
-        link.origin_s = now_s
+        why = no_place(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3, self._reach)
+        if why:
+            self.refused["EKF origin"] = why
+        else:
+            link.tell_origin(now_s, EkfOrigin.from_message(m))
+
+    def _on_home(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        place = (m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
+        why = no_place(*place, self._reach)
+        if why:
+            self.refused["home"] = why
+        else:
+            self.home = HomePlace(now_s, *place)
 
     def _on_extended_state(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        self.landed_state = m.landed_state
+        if m.landed_state != self.landed_state or math.isinf(self.landed_since_s):
+            self.landed_since_s = now_s
+        self.landed_state, self.landed_s = m.landed_state, now_s
+
+    def _on_gps(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        self.gps_fix = (now_s, m.fix_type)
+
+    def _on_estimator(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        self.estimator = (now_s, m.flags & _ESTIMATE_NEEDED == _ESTIMATE_NEEDED and not m.flags & _ESTIMATE_BAD)
 
     def _on_sys_status(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        self.battery_percent = m.battery_remaining if m.battery_remaining >= 0 else None
+        self.battery_percent = m.battery_remaining if 0 <= m.battery_remaining <= 100 else None
+        used = m.onboard_control_sensors_present & m.onboard_control_sensors_enabled
+        self.sensors = (now_s, used & ~m.onboard_control_sensors_health)
 
     def _on_version(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.version = m
@@ -266,11 +299,21 @@ class VehicleMonitor:
         self._texts.append((m.severity, text))
 
 
+_BOOTING = (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_CALIBRATING)
+_ESTIMATE_NEEDED = mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_POS_VERT_ABS
+"""Without these an estimator has no place; the bits are the same in EKF_STATUS_REPORT and ESTIMATOR_STATUS."""
+_ESTIMATE_BAD = mavlink.ESTIMATOR_CONST_POS_MODE | mavlink.ESTIMATOR_GPS_GLITCH | 0x8000
+"""It stands still, its GNSS glitches or (ArduPilot, 1024) it has not begun; 0x8000 is ArduPilot's GNSS glitch."""
+
 _HANDLERS = {
     "HEARTBEAT": VehicleMonitor._on_heartbeat,
     "GLOBAL_POSITION_INT": VehicleMonitor._on_global_position,
     "POSITION_TARGET_LOCAL_NED": VehicleMonitor._on_target,
     "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_origin,
+    "HOME_POSITION": VehicleMonitor._on_home,
+    "GPS_RAW_INT": VehicleMonitor._on_gps,
+    "EKF_STATUS_REPORT": VehicleMonitor._on_estimator,
+    "ESTIMATOR_STATUS": VehicleMonitor._on_estimator,
     "EXTENDED_SYS_STATE": VehicleMonitor._on_extended_state,
     "SYS_STATUS": VehicleMonitor._on_sys_status,
     "AUTOPILOT_VERSION": VehicleMonitor._on_version,

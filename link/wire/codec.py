@@ -9,6 +9,7 @@ good bytes after one stray start marker.
 from __future__ import annotations
 
 import struct
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -106,6 +107,8 @@ class StationCodec:
         self.signing = signing
         self.stream = stream
         self.stats = CodecStats()
+        self.returned: deque[bytes] = deque(maxlen=64)
+        """Frames under this station's own ids that came in, the latest: ours reflected, or somebody else's."""
         # Two objects: the stock class checks incoming signatures as soon as it holds a key, and does it wrong.
         self._out = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._in = mavlink.MAVLink(None)
@@ -182,6 +185,7 @@ class StationCodec:
             return True, None
         if (system, component) == (self.system_id, self.component_id):
             self.stats.echoes += 1
+            self.returned.append(frame)
             return True, None
         if self.signing is not None:
             verdict = self.signing.judge(frame, message_id)

@@ -55,12 +55,18 @@ class Corridor:
 
 
 def build_corridor(
-    problem: Problem, sequence: Sequence[int], *, pieces_per_leg: int = 1, pieces_at_ends: int | None = None
+    problem: Problem,
+    sequence: Sequence[int],
+    *,
+    pieces_per_leg: int = 1,
+    pieces_at_ends: int | None = None,
+    after_s: Sequence[float] = (),
 ) -> Corridor:
     """A corridor along ``sequence``: ``pieces_per_leg`` own pieces a station, ``pieces_at_ends`` in first and last leg.
 
     With an overlap, an entry and an exit piece that lie in both balls are added around each handover, and the
-    leg's own pieces go between them. A single station needs no tenure.
+    leg's own pieces go between them. ``after_s`` is how long the station handed over from must go on covering the
+    vehicle, a number for each handover, where that is more than half the overlap. A single station needs no tenure.
 
     Raises `ProblemError` for an empty sequence and for legs without a piece of their own: entry and exit pieces
     alone would ask three stations to meet in a point.
@@ -73,8 +79,9 @@ def build_corridor(
     for leg, station in enumerate(sequence):
         is_end = leg in (0, legs - 1)
         own = pieces_at_ends if is_end and pieces_at_ends is not None else pieces_per_leg
-        if leg > 0 and half > 0:
-            pieces.append(Piece(station, leg, (station, sequence[leg - 1]), half))
+        after = max(half, after_s[leg - 1]) if leg > 0 and after_s else half
+        if leg > 0 and after > 0:
+            pieces.append(Piece(station, leg, (station, sequence[leg - 1]), after))
         pieces.extend(Piece(station, leg, (station,)) for _ in range(own))
         if leg < legs - 1 and half > 0:
             pieces.append(Piece(station, leg, (station, sequence[leg + 1]), half))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from planner.airspeed import air_of
 from planner.arrays import Array, Flags
 from planner.corridor.corridor import Corridor
 from planner.coverage.elevation_mask import ElevationMask
@@ -18,7 +21,11 @@ class CorridorCheck:
     """Measures control points ``(S, n + 1, 3)`` against the balls, the band and the vehicle's limits."""
 
     def __init__(self, problem: Problem, corridor: Corridor) -> None:
+        # Where the wind is a field it is measured by itself.
+        self._problem = problem
         self.limits = problem.limits
+        if problem.wind is not None:
+            self.limits = replace(problem.limits, max_airspeed_m_s=None)
         width = max(len(piece.balls) for piece in corridor.pieces)
         # Every piece gets the same number of balls, its first one repeated, so that arrays stay rectangular.
         balls = np.array([piece.balls + piece.balls[:1] * (width - len(piece.balls)) for piece in corridor.pieces])
@@ -52,7 +59,10 @@ class CorridorCheck:
         first = degree * np.diff(points_m, axis=1)
         second = (degree - 1) * np.diff(first, axis=1)
         ratios = np.zeros((3, len(points_m)))
-        ratios[0] = speed_ratio(self.limits, first / durations_s[:, None, None]).max(axis=1)
+        velocity = first / durations_s[:, None, None]
+        ratios[0] = speed_ratio(self.limits, velocity).max(axis=1)
+        if self._problem.wind is not None and self._problem.limits.max_airspeed_m_s is not None:
+            ratios[0] = np.maximum(ratios[0], airspeed_ratio(*air_of(self._problem, points_m, velocity)).max(axis=1))
         ratios[1] = np.linalg.norm(second, axis=-1).max(axis=1) / (durations_s**2 * self.limits.max_accel_m_s2)
         if self.limits.max_jerk_m_s3 is not None:
             third = (degree - 2) * np.diff(second, axis=1)
@@ -83,10 +93,15 @@ def speed_ratio(limits: Limits, velocity_m_s: Array) -> Array:
         ratio = np.maximum(ratio, -velocity_m_s[..., 2] / limits.max_descent_m_s)
     if limits.max_airspeed_m_s is not None:
         wind = np.array([*limits.wind_m_s, 0.0])
-        room = limits.max_airspeed_m_s**2 - wind @ wind
-        along = velocity_m_s @ wind
-        squared = np.einsum("...i,...i->...", velocity_m_s, velocity_m_s)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            airspeed = (np.sqrt(along**2 + squared * room) - along) / room
-        ratio = np.maximum(ratio, airspeed if room > 0.0 else np.inf)
+        ratio = np.maximum(ratio, airspeed_ratio(velocity_m_s, wind, np.array(limits.max_airspeed_m_s)))
     return np.asarray(ratio)
+
+
+def airspeed_ratio(velocity_m_s: Array, wind_m_s: Array, airspeed_m_s: Array) -> Array:
+    """`speed_ratio` of an airspeed ``(...)`` alone, in winds that broadcast against the velocities ``(..., 3)``."""
+    room = airspeed_m_s**2 - np.einsum("...i,...i->...", wind_m_s, wind_m_s)
+    along = np.einsum("...i,...i->...", velocity_m_s, wind_m_s)
+    squared = np.einsum("...i,...i->...", velocity_m_s, velocity_m_s)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = (np.sqrt(along**2 + squared * room) - along) / room
+    return np.asarray(np.where((room > 0.0) & (airspeed_m_s > 0.0), ratio, np.inf))

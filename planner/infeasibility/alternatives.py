@@ -26,6 +26,7 @@ from planner.coverage.overlap import MIN_OVERLAP_M, adjacent_pairs
 from planner.errors import Infeasibility
 from planner.infeasibility.application import remedied
 from planner.infeasibility.diagnosis import diagnose
+from planner.infeasibility.route_faults import RouteFaults, merged, route_faults
 from planner.problem import Problem
 from planner.remedy import (
     AddStation,
@@ -47,6 +48,8 @@ MAX_SINGLE = 300
 BISECTIONS = 24
 # Faults followed one behind the other.
 MAX_FAULTS = 4
+# Stations added together at most: beyond that it is another network.
+MAX_ADDED = 6
 
 
 def with_alternatives(problem: Problem, found: Infeasibility) -> Infeasibility:
@@ -56,22 +59,55 @@ def with_alternatives(problem: Problem, found: Infeasibility) -> Infeasibility:
     if problem.station_count > MAX_STATIONS:
         return found
     faults = _all_faults(problem, found)
-    if len(faults) > 1:
-        message = found.message + "".join(f"; besides, {fault.message}" for fault in faults[1:])
-        found = replace(found, message=message, remedies=_together(faults))
-    crowded = any(fault.reason == "limits" for fault in faults)
+    route = route_faults(problem)
+    causes = _causes(problem, route)
+    crowded = any(fault.reason == "limits" for fault in (*faults, *causes))
+    found = _told(found, faults, causes, route.cure)
     # More handovers than allowed: one range from end to end is the most it can take.
     span = float(np.linalg.norm(problem.destination_m - problem.start_m)) + float(problem.ranges_m.max())
-    widest = span if crowded else 2.0 * max(fault.gap_m or 0.0 for fault in faults) + 1.0
+    gaps_m = [fault.gap_m or 0.0 for fault in (*faults, *causes)]
+    widest = span if crowded else 2.0 * max(gaps_m) + 1.0
     changes: list[Change | None] = [_all_ranges(problem, widest), _band(problem), _elevations(problem)]
+    alone = len(faults) == 1 and len(causes) <= 1
     if crowded:
         changes.append(_one_range(problem, widest))
-    elif len(faults) == 1 and found.reason.endswith("_uncovered"):
+    elif alone and found.reason.endswith("_uncovered"):
         changes.append(_move(problem, found))
-    if len(faults) == 1 and not crowded:
-        changes.append(_station(problem, found))
-    alternatives = tuple((change,) for change in changes if change is not None)
+    alternatives: list[Remedy] = [(change,) for change in changes if change is not None]
+    if not crowded:
+        added = _stations(problem, causes or (found,))
+        alternatives += [added] if added else []
     return replace(found, remedies=(*found.remedies, *alternatives))
+
+
+def _causes(problem: Problem, route: RouteFaults) -> list[Infeasibility]:
+    """All that is wrong on the best route, in flight order, and last a limit that this route would break."""
+    further = diagnose(remedied(problem, route.cure)) if route.cure else None
+    return [*route.faults, *([further] if further is not None and further.reason == "limits" else [])]
+
+
+def _told(
+    found: Infeasibility, faults: list[Infeasibility], causes: list[Infeasibility], cure: Remedy
+) -> Infeasibility:
+    """``found`` as the best route shows it, with all its causes and with remedies that each cure all of them."""
+    limit = [change for cause in causes if cause.reason == "limits" for remedy in cause.remedies for change in remedy]
+    remedies = [*_together(faults), (*cure, *limit) if cure else ()]
+    same = [cause for cause in causes if cause.reason == found.reason]
+    if same:
+        worst = max(same, key=lambda cause: cause.gap_m or 0.0)
+        found = replace(found, stations=worst.stations, gap_m=worst.gap_m, position_m=worst.position_m)
+        found = replace(found, message=worst.message, masked=worst.masked)
+    others = [cause for cause in (causes or faults) if cause.message != found.message]
+    message = found.message + "".join(f"; besides, {cause.message}" for cause in others)
+    # The same changes twice, found by two ways of looking, differ in their last digits.
+    kept = {_changed(remedy): remedy for remedy in reversed(remedies) if remedy}
+    remedies = list(reversed(kept.values()))
+    return replace(found, message=message, remedies=tuple(remedies), causes=tuple(causes) if len(causes) > 1 else ())
+
+
+def _changed(remedy: Remedy) -> frozenset[tuple[object, ...]]:
+    """What a remedy changes, without by how much."""
+    return frozenset((type(one), getattr(one, "station", None), getattr(one, "of", None)) for one in remedy)
 
 
 def _all_faults(problem: Problem, found: Infeasibility) -> list[Infeasibility]:
@@ -91,15 +127,8 @@ def _together(faults: Sequence[Infeasibility]) -> tuple[Remedy, ...]:
 
     Ranges of one station raised twice are raised once by the sum.
     """
-    changes: list[Change] = []
-    for change in (change for fault in faults for remedy in fault.remedies[:1] for change in remedy):
-        if isinstance(change, RaiseRange):
-            before = [one for one in changes if isinstance(one, RaiseRange) and one.station == change.station]
-            if before:
-                changes[changes.index(before[0])] = RaiseRange(change.station, before[0].by_m + change.by_m)
-                continue
-        changes.append(change)
-    return (tuple(changes),) if changes else ()
+    changes = merged([change for fault in faults for remedy in fault.remedies[:1] for change in remedy])
+    return (changes,) if changes else ()
 
 
 def _least(cured: Callable[[float], bool], most: float, needed: float = 0.0) -> float | None:
@@ -226,9 +255,23 @@ def _band(problem: Problem) -> WidenBand | None:
     return min(choices, key=lambda choice: choice.by_m) if choices else None
 
 
+def _stations(problem: Problem, causes: Sequence[Infeasibility]) -> Remedy:
+    """A station more in every gap of the route, all that is needed; empty where that is no help."""
+    changes: list[Change] = []
+    added = 0
+    for cause in causes:
+        if cause.reason == "limits" or cause.reason.endswith("_altitude") or not (cause.gap_m or 0.0) > 0.0:
+            changes += [change for remedy in cause.remedies[:1] for change in remedy]
+        elif (one := _station(problem, cause)) is not None:
+            changes.append(one)
+            added += 1
+    remedy = merged(changes)
+    return remedy if 0 < added <= MAX_ADDED and _linked(remedied(problem, remedy)) else ()
+
+
 def _station(problem: Problem, found: Infeasibility) -> AddStation | None:
     """A station in the middle of the gap, as high as its neighbours' mean, with the least range that joins them."""
-    if found.position_m is None or not found.stations:
+    if found.position_m is None or not found.stations or found.reason.endswith("_altitude"):
         return None
     neighbours = np.array(found.stations)
     place = np.array([*found.position_m[:2], float(problem.station_positions_m[neighbours, 2].mean())])
@@ -237,10 +280,7 @@ def _station(problem: Problem, found: Infeasibility) -> AddStation | None:
     needed = float(range_to_meet_m(extended, new, neighbours, MIN_OVERLAP_M).max())
     if found.reason != "broken_chain":
         needed = max(needed, float(np.linalg.norm(place - np.array(found.position_m))))
-    if not np.isfinite(needed):
-        return None
-    added = AddStation(_point(place), needed * (1.0 + 1e-9) + 1e-6)
-    return added if _cures(problem, added) else None
+    return AddStation(_point(place), needed * (1.0 + 1e-9) + 1e-6) if np.isfinite(needed) else None
 
 
 def _point(at_m: Sequence[float] | Array) -> Point:

@@ -35,7 +35,7 @@ def diagnose(problem: Problem) -> Infeasibility | None:
     """
     ends: tuple[tuple[End, Array], ...] = (("start", problem.start_m), ("destination", problem.destination_m))
     for name, position in ends:
-        fault = _altitude_fault(problem, name, position) or _cover_fault(problem, name, position)
+        fault = altitude_fault(problem, name, position) or _cover_fault(problem, name, position)
         if fault is not None:
             return fault
     sources = covering_stations(problem, problem.start_m)
@@ -49,7 +49,8 @@ def diagnose(problem: Problem) -> Infeasibility | None:
     return _handover_fault(problem, sources, targets, adjacent)
 
 
-def _altitude_fault(problem: Problem, name: End, position: Array) -> Infeasibility | None:
+def altitude_fault(problem: Problem, name: End, position: Array) -> Infeasibility | None:
+    """That an end lies outside the altitude band, with the nearest altitude inside; None when it does not."""
     limits, altitude = problem.limits, float(position[2])
     nearest = min(max(altitude, limits.min_alt_m), limits.max_alt_m)
     if nearest == altitude:
@@ -192,6 +193,15 @@ def _narrowest_chain(problem: Problem, sources: Indices, targets: Indices) -> In
         return chain
     near = adjacent_pairs(problem, min_depth_m=-widest * (1.0 + 1e-9) - MIN_OVERLAP_M)
     return _chain_among(problem, near.pairs, sources, targets)
+
+
+def route_pairs(problem: Problem, usable: Indices) -> Indices:
+    """Pairs ``(E, 2)`` of the stations ``usable`` a best route is sought among: all, or on large maps neighbours."""
+    if len(usable) <= ALL_PAIRS_STATIONS:
+        first, second = np.triu_indices(len(usable), 1)
+        return np.stack([usable[first], usable[second]], axis=1)
+    near = np.concatenate([adjacent_pairs(problem).pairs, _delaunay_pairs(problem, usable)])
+    return np.asarray(np.unique(near, axis=0))
 
 
 def _chain_among(problem: Problem, pairs: Indices, sources: Indices, targets: Indices) -> Indices:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.airspeed import winds_m_s
 from planner.errors import Infeasibility
 from planner.problem import Limits, Problem
 from planner.remedy import LowerStartSpeed, RaiseLimit
@@ -46,7 +47,7 @@ def start_state_fault(problem: Problem) -> Infeasibility | None:
     """The start moves faster than a limit allows, or cannot stop its climb or descent inside the altitude band."""
     limits = problem.limits
     velocity, accel = problem.start_velocity_m_s, problem.start_acceleration_m_s2
-    air = velocity - np.array([*limits.wind_m_s, 0.0])
+    air = velocity - winds_m_s(problem, problem.start_m)
     measured = (
         ("max_speed_m_s", float(np.linalg.norm(velocity)), limits.max_speed_m_s),
         ("max_accel_m_s2", float(np.linalg.norm(accel)), limits.max_accel_m_s2),

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.airspeed import winds_m_s
 from planner.arrays import Array, Flags, Indices
 from planner.corridor.corridor import Corridor
 from planner.coverage.elevation_mask import ElevationMask
 from planner.coverage.overlap import overlap_depth_m
 from planner.joint import control_rows
 from planner.joint.transcription import HeightConstraints, NormConstraints, Transcription
-from planner.problem import Problem
+from planner.problem import Limits, Problem
 from planner.speed_profile import speed_profile
 from planner.trajectory import Trajectory
 
@@ -87,9 +88,8 @@ def build_program(
     last = np.concatenate([(problem.destination_m - scale.origin_m) / scale.length_m, zero, zero])
     min_durations = min_piece_durations_s(problem, corridor, scale, waypoints_m) / scale.time_s
     table = control_rows.table(jerk=problem.limits.max_jerk_m_s3 is not None, nodes=energy)
-    return Transcription(
-        table, first, last, _norms(problem, corridor, scale), _heights(problem, corridor, scale), min_durations
-    )
+    norms, heights = _norms(problem, corridor, scale, waypoints_m), _heights(problem, corridor, scale)
+    return Transcription(table, first, last, norms, heights, min_durations)
 
 
 def min_piece_durations_s(problem: Problem, corridor: Corridor, scale: Scale, waypoints_m: Array) -> Array:
@@ -98,10 +98,7 @@ def min_piece_durations_s(problem: Problem, corridor: Corridor, scale: Scale, wa
     Tenure bounds a sum; bounding the leg's own pieces instead keeps the program banded, and costs nothing where the
     leg is longer anyway.
     """
-    # The certificate recomputes accelerations from control points, which loses eps |P| / T^2 of them.
-    extent = float(np.abs(waypoints_m).max())
-    numeric = np.sqrt(80.0 * np.finfo(float).eps * extent / (2.5e-10 * problem.limits.max_accel_m_s2))
-    least = max(float(numeric), LEAST_PIECE * scale.time_s)
+    least = max(least_piece_s(problem.limits, waypoints_m), LEAST_PIECE * scale.time_s)
     shortest = np.array([max(piece.min_duration_s * (1.0 + SHRINK), least) for piece in corridor.pieces])
     for leg in range(len(corridor.sequence)):
         pieces = corridor.leg_pieces(leg)
@@ -110,6 +107,15 @@ def min_piece_durations_s(problem: Problem, corridor: Corridor, scale: Scale, wa
         if missing > 0:
             shortest[own] += missing / len(own)
     return shortest
+
+
+def least_piece_s(limits: Limits, points_m: Array) -> float:
+    """Shortest piece among ``points_m`` that numbers bear.
+
+    The certificate recomputes accelerations from control points, which loses eps |P| / T^2 of them.
+    """
+    extent = float(np.abs(points_m).max())
+    return float(np.sqrt(80.0 * np.finfo(float).eps * extent / (2.5e-10 * limits.max_accel_m_s2)))
 
 
 def inner_radii_m(problem: Problem, corridor: Corridor) -> Array:
@@ -172,7 +178,7 @@ class _NormBuilder:
         return NormConstraints(row, pieces, centre.T, weight.T, radius, time_radius, size)
 
 
-def _norms(problem: Problem, corridor: Corridor, scale: Scale) -> NormConstraints:
+def _norms(problem: Problem, corridor: Corridor, scale: Scale, waypoints_m: Array) -> NormConstraints:
     limits, pieces = problem.limits, corridor.pieces
     inside = 1.0 - SHRINK
     build = _NormBuilder(len(pieces))
@@ -195,15 +201,29 @@ def _norms(problem: Problem, corridor: Corridor, scale: Scale) -> NormConstraint
     for row in control_rows.K_ROWS:
         build.add(row, strong)
     if limits.max_airspeed_m_s is not None:
-        wind = np.array([*limits.wind_m_s, 0.0]) / scale.speed_m_s
-        for row in control_rows.Q_ROWS:
-            build.add(row, limits.max_airspeed_m_s / scale.speed_m_s * inside, centre=wind)
+        withheld = _wind_withheld_m_s(problem, waypoints_m)
+        for k, row in enumerate(control_rows.Q_ROWS):
+            share = (k + 1) / len(control_rows.Q_ROWS)
+            at = (1.0 - share) * waypoints_m[:-1] + share * waypoints_m[1:]
+            wind = winds_m_s(problem, at) / scale.speed_m_s
+            build.add(row, (limits.max_airspeed_m_s - withheld) / scale.speed_m_s * inside, centre=wind)
     if limits.max_jerk_m_s3 is not None:
         # |L_j| = 3 |K_{j+1} - K_j| / T for degree 5.
         jerk = limits.max_jerk_m_s3 / (scale.accel_m_s2 / scale.time_s) * inside
         for row in control_rows.J_ROWS:
             build.add(row, 0.0, weight=np.full(3, 9.0), time_radius=jerk, scale=jerk)
     return build.build()
+
+
+def _wind_withheld_m_s(problem: Problem, waypoints_m: Array) -> Array:
+    """``(K,)``: airspeed kept back on each piece for a wind that is not quite what it is where the piece is expected.
+
+    What turns out to be too fast is flown slower afterwards; a start that moves leaves no such way: more is kept back.
+    """
+    wind, airspeed = winds_m_s(problem, waypoints_m), problem.limits.max_airspeed_m_s or 0.0
+    turned = np.linalg.norm(np.diff(wind, axis=0), axis=-1)
+    room = np.maximum(airspeed - np.linalg.norm(wind[1:], axis=-1), 0.0)
+    return np.asarray(np.minimum(turned * (0.1 if problem.starts_at_rest else 1.0), 0.5 * room))
 
 
 def _add_elevation(

@@ -24,6 +24,7 @@ from planner.coverage.disc import disc_radius_m, usable_stations
 from planner.energy import cost_s
 from planner.errors import SolverError
 from planner.joint.solver import solve_corridor
+from planner.joint.straight_flight import straight_flight
 from planner.problem import Problem
 from planner.trajectory import Trajectory
 
@@ -82,13 +83,20 @@ def plan_joint(
     *,
     energy_weight: float = 0.0,
     starts: int = len(STARTS),
+    after_s: Sequence[float] = (),
 ) -> Attempt | None:
     """The first certified and converged answer of up to ``starts`` starts, else the best certified one; None when none.
 
-    Deterministic. Costs one solve in nearly every case.
+    ``after_s`` as for `build_corridor`. Deterministic. Costs one solve in nearly every case.
     """
+    if len(sequence) == 1 and energy_weight == 0.0:
+        straight = _straight(problem, sequence[0])
+        if straight is not None:
+            return straight
     best: Attempt | None = None
     iterations = 0
+    half_s = 0.5 * problem.min_overlap_s
+    wider = replace(problem, min_overlap_s=half_s + max(half_s, *after_s)) if after_s else problem
     flat = problem.limits.min_alt_m == problem.limits.max_alt_m
     solvable = planar_problem(problem) if flat else problem
     extra = min(MAX_EXTRA, max(0, ceil(effort.least_pieces / len(sequence)) - effort.pieces_per_leg))
@@ -100,8 +108,9 @@ def plan_joint(
             sequence,
             pieces_per_leg=effort.pieces_per_leg + extra + more,
             pieces_at_ends=at_ends + extra + more,
+            after_s=after_s,
         )
-        polyline, _ = polyline_along(problem, sequence, inwards=inwards)
+        polyline, _ = polyline_along(wider, sequence, inwards=inwards)
         try:
             solved = solve_corridor(
                 solvable,
@@ -125,6 +134,18 @@ def plan_joint(
         if solved.converged:
             break
     return best
+
+
+def _straight(problem: Problem, station: int) -> Attempt | None:
+    """The fastest flight under one station in closed form, where it keeps every limit."""
+    trajectory = straight_flight(problem, station)
+    if trajectory is None:
+        return None
+    certificate = certify(problem, trajectory)
+    if not certificate.feasible:
+        return None
+    time_s = trajectory.duration_s
+    return Attempt((station,), trajectory, certificate, "joint", 0, converged=True, cost_s=time_s)
 
 
 def planar_problem(problem: Problem) -> Problem:

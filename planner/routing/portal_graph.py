@@ -23,6 +23,8 @@ from planner.problem import Problem
 CHORD_FRACTIONS = {1: (0.0,), 3: (-0.999, 0.0, 0.999), 5: (-0.999, -0.5, 0.0, 0.5, 0.999)}
 # Above this many legs in the graph fewer portals are used.
 MAX_LEGS = 3_000_000
+# How much slower than the best a route with fewer legs may be expected to be and still be looked at.
+FEWEST_SLACK, FEWEST_SLACK_S = 0.015, 5.0
 # How many portals are tried for every further sequence wanted.
 MAX_TRIALS = 100
 
@@ -194,33 +196,70 @@ class PortalGraph:
         shared = np.where(same, here[:, :, None], self._problem.station_count).min(axis=(1, 2))
         return tuple(shared[np.append(True, shared[1:] != shared[:-1])].tolist())
 
+    def fewest(self, most_legs: int, *, slack: float = FEWEST_SLACK, slack_s: float = FEWEST_SLACK_S) -> list[Route]:
+        """The best route of every number of legs up to ``most_legs``, fewest first, as far as more legs are faster.
+
+        Routes that are slower than the best one by more than a part ``slack`` and ``slack_s`` are left out.
+        """
+        single = self._single_station_routes()
+        if single:
+            return single[:1]
+        graph = self._graph(leg_times_s(self._problem, self._length, self._out, self._into))
+        through = _distances(graph, self._start_nodes)[0] + _distances(graph, self._end_nodes)[0]
+        slowest = float(through.min()) * (1.0 + slack) + slack_s
+        kept = np.flatnonzero(through <= slowest)
+        number = np.full(len(through), -1)
+        number[kept] = np.arange(len(kept))
+        starts, ends = (number[nodes][number[nodes] >= 0] for nodes in (self._start_nodes, self._end_nodes))
+        routes: dict[tuple[int, ...], Route] = {}
+        for path, time in _layered(csr_array(graph[kept][:, kept]), starts, ends, most_legs):
+            sequence = self._sequence(kept[path].tolist())
+            if time <= slowest and len(set(sequence)) == len(sequence):
+                routes.setdefault(sequence, Route(sequence, time))
+        return list(routes.values())
+
     def _shortest_within(self, graph: csr_array, max_legs: int) -> tuple[list[int], float]:
-        """The shortest path of at most ``max_legs`` legs (Bellman and Ford, one layer a leg); empty when none."""
-        nodes = len(self._points)
-        starts, rows, weights = graph.indptr, graph.indices, graph.data
-        heads = np.flatnonzero(np.diff(starts))
-        owner = np.repeat(np.arange(nodes), np.diff(starts))
-        distance = np.full(nodes, np.inf)
-        distance[self._start_nodes] = 0.0
-        layers: list[Indices] = []
-        for _ in range(max_legs):
-            # The graph is symmetric: its rows list the legs into a node as well as those out of it.
-            through = distance[rows] + weights
-            best = np.full(nodes, np.inf)
-            best[heads] = np.minimum.reduceat(through, starts[heads])
-            hit = np.flatnonzero(through == best[owner])[::-1]
-            source = np.full(nodes, -1)
-            source[owner[hit]] = rows[hit]
-            better = best < distance
-            layers.append(np.where(better, source, -1))
-            distance = np.where(better, best, distance)
-        end = int(self._end_nodes[np.argmin(distance[self._end_nodes])])
-        path = [end]
-        for before in reversed(layers):
-            if before[path[-1]] >= 0:
-                path.append(int(before[path[-1]]))
-        time = float(distance[end])
-        return (path[::-1], time) if np.isfinite(time) else ([], time)
+        """The shortest path of at most ``max_legs`` legs; empty when none."""
+        found = _layered(graph, self._start_nodes, self._end_nodes, max_legs)
+        return found[-1] if found else ([], np.inf)
+
+
+def _layered(graph: csr_array, sources: Indices, targets: Indices, max_legs: int) -> list[tuple[list[int], float]]:
+    """The shortest paths of 1, 2, ... up to ``max_legs`` legs (Bellman and Ford, one layer a leg), each with its time.
+
+    Only those faster than all with fewer legs, so that the last is the best.
+    """
+    nodes = graph.shape[0]
+    starts, rows, weights = graph.indptr, graph.indices, graph.data
+    heads = np.flatnonzero(np.diff(starts))
+    owner = np.repeat(np.arange(nodes), np.diff(starts))
+    distance = np.full(nodes, np.inf)
+    distance[sources] = 0.0
+    layers: list[Indices] = []
+    found: list[tuple[list[int], float]] = []
+    reached = np.inf
+    for _ in range(max_legs if len(rows) and len(targets) else 0):
+        # The graph is symmetric: its rows list the legs into a node as well as those out of it.
+        through = distance[rows] + weights
+        best = np.full(nodes, np.inf)
+        best[heads] = np.minimum.reduceat(through, starts[heads])
+        hit = np.flatnonzero(through == best[owner])[::-1]
+        source = np.full(nodes, -1)
+        source[owner[hit]] = rows[hit]
+        better = best < distance
+        if not better.any():
+            break
+        layers.append(np.where(better, source, -1))
+        distance = np.where(better, best, distance)
+        end = int(targets[np.argmin(distance[targets])])
+        if distance[end] < reached:
+            reached = float(distance[end])
+            path = [end]
+            for before in reversed(layers):
+                if before[path[-1]] >= 0:
+                    path.append(int(before[path[-1]]))
+            found.append((path[::-1], reached))
+    return found
 
 
 def legs_of(pairs: Indices) -> float:

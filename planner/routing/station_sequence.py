@@ -32,6 +32,7 @@ __all__ = [
     "geodesic_route",
     "geodesic_sequence",
     "is_chain",
+    "routes_and_fewest",
     "select_stations",
 ]
 
@@ -71,6 +72,22 @@ def candidate_routes(problem: Problem, count: int = 1, *, bound: LowerBound | No
             raise InfeasibleError(infeasibility)
         raise AssertionError("the ranges chain together, but no route was found")
     return routes[:count]
+
+
+def routes_and_fewest(problem: Problem, count: int) -> tuple[list[Route], list[Route]]:
+    """Up to ``count`` routes, best expected first, and the best ones with fewer handovers than the best of these.
+
+    Of the latter one for every number of handovers, fewest first. Both from one graph; empty where there is no route.
+    """
+    stations, graph = _graph(problem)
+
+    def named(routes: list[Route]) -> list[Route]:
+        return [Route(tuple(int(stations[k]) for k in route.sequence), route.estimate_s) for route in routes]
+
+    routes = graph.routes(count)
+    longest = max((len(route.sequence) for route in routes), default=0)
+    most = longest if problem.max_handovers is None else min(longest, problem.max_handovers + 1)
+    return named(routes), named(graph.fewest(most))
 
 
 def is_chain(problem: Problem, sequence: Sequence[int]) -> bool:
@@ -196,7 +213,7 @@ def _farthest_end(problem: Problem, station: int) -> float:
 
 def _graph(problem: Problem) -> tuple[Indices, PortalGraph]:
     """The portal graph, and the stations of the problem its indices stand for."""
-    adjacent = adjacent_pairs(problem)
+    adjacent = _without_covered(problem, adjacent_pairs(problem))
     stations = np.arange(problem.station_count)
     if len(adjacent.pairs) <= MAX_PAIRS:
         return stations, PortalGraph(problem, adjacent.pairs)
@@ -209,6 +226,30 @@ def _graph(problem: Problem) -> tuple[Indices, PortalGraph]:
     if problem.max_handovers is None:
         pairs = _pairs_worth_all_portals(near, pairs)
     return stations, PortalGraph(near, pairs)
+
+
+def _without_covered(problem: Problem, adjacent: AdjacentPairs) -> AdjacentPairs:
+    """Without the pairs of stations whose range lies inside another one's, such as the weaker sectors of one mast.
+
+    Whatever such a station covers the other one covers too, so that handing over to it is never needed. Of equal
+    ranges the first stays.
+    """
+    first, second = adjacent.pairs[:, 0], adjacent.pairs[:, 1]
+    at, ranges, mask = problem.station_positions_m, problem.ranges_m, problem.min_elevation_deg
+    apart = np.linalg.norm(at[first] - at[second], axis=1)
+    lowest = np.zeros(len(ranges)) if mask is None else mask
+
+    def covers(wide: Indices, narrow: Indices, *, ties: bool) -> Indices:
+        within = apart + ranges[narrow] <= ranges[wide]
+        hears = (lowest[wide] <= lowest[narrow]) & ((apart == 0.0) | (mask is None) | (lowest[wide] < 0.0))
+        same = (apart == 0.0) & (ranges[narrow] == ranges[wide]) & (lowest[narrow] == lowest[wide])
+        return np.asarray(narrow[within & hears & (~same | ties)])
+
+    covered = np.zeros(problem.station_count, dtype=bool)
+    covered[covers(first, second, ties=True)] = True
+    covered[covers(second, first, ties=False)] = True
+    kept = ~(covered[first] | covered[second])
+    return AdjacentPairs(adjacent.pairs[kept], adjacent.depths_m[kept]) if covered.any() else adjacent
 
 
 def _pairs_worth_all_portals(problem: Problem, pairs: Indices) -> Indices:

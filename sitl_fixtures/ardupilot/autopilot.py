@@ -175,9 +175,8 @@ class ArduCopter(CopterCore):
     def version(self) -> Message:
         """AUTOPILOT_VERSION of ArduCopter 4.7.0-dev, or 4.6.3 where that was asked for."""
         number = 0x040603FF if self.vehicle.config.firmware else 67567616
-        uid = b"simulated-ac"
         return mavlink.MAVLink_autopilot_version_message(
-            64495, number, 0, 0, 0, list(b"simulatd"), [0] * 8, [0] * 8, 0, 0, 0, list(uid.ljust(18, b"\0"))
+            64495, number, 0, 0, 0, list(b"simulatd"), [0] * 8, [0] * 8, 0, 0, 0, list(self.vehicle.uid)
         )
 
     @property

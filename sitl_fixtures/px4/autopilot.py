@@ -168,7 +168,6 @@ class Px4(Px4Core):
 
     def version(self) -> Message:
         """AUTOPILOT_VERSION of PX4 1.17.0."""
-        uid = b"simulated-px4"
         return mavlink.MAVLink_autopilot_version_message(
             59647,
             17891583,
@@ -181,7 +180,7 @@ class Px4(Px4Core):
             0,
             0,
             1,
-            list(uid.ljust(18, b"\0")),
+            list(self.vehicle.uid),
         )
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from sitl_fixtures.ardupilot.autopilot import ArduCopter
@@ -35,6 +36,8 @@ class SimulatorConfig:
         tilt_deg: largest lean; None: by the parameters.
         wind_n_m_s, wind_e_m_s: wind, the velocity of the air.
         firmware: ``4.6``: ArduCopter's older names for whom it hears, and no range of them; empty: the newest.
+        uid: the board's unique id, hex digits, at most 36; ``none``: it tells none; empty: one of its own, another in
+            every simulator.
         speaks_operator_control: CONTROL_STATUS and command 32100, which no stock autopilot has.
         setpoint_log: how many obeyed set-points to keep for inspection.
     """
@@ -54,6 +57,7 @@ class SimulatorConfig:
     wind_n_m_s: float = 0.0
     wind_e_m_s: float = 0.0
     firmware: str = ""
+    uid: str = ""
     speaks_operator_control: bool = False
     setpoint_log: int = 200_000
 
@@ -62,6 +66,8 @@ class SimulatorConfig:
             raise ConfigurationError("--autopilot", self.autopilot, "px4 or ardupilot", "choose one of them")
         if self.firmware and (self.autopilot, self.firmware) != ("ardupilot", "4.6"):
             raise ConfigurationError("--firmware", self.firmware, "4.6, with --autopilot ardupilot", "leave it out")
+        if self.uid not in ("", "none") and not re.fullmatch("(?:[0-9a-fA-F]{2}){1,18}", self.uid):
+            raise ConfigurationError("--uid", self.uid, "1 to 18 bytes as hex digits, or none", "correct it")
         if self.home is not None:
             lat, lon, alt = self.home
             if not (-89.0 <= lat <= 89.0 and -180.0 <= lon <= 180.0 and -500.0 <= alt <= 9000.0):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import random
+import secrets
 from collections.abc import Callable
 from typing import Any
 
@@ -51,6 +52,7 @@ class SimulatedAutopilot:
         self.on_setpoint = on_setpoint
         self.accepted_setpoints: list[tuple[float, int, int, str, dict[str, object]]] = []
         self.random = random.Random(config.seed)
+        self.uid = _unique_id(config.uid)
         self.hung = False
         self.rotors_stopped = False
         self.clock_rate = 1.0
@@ -351,3 +353,10 @@ class SimulatedAutopilot:
     def _on_setup_signing(self, link: int, message: Message) -> None:
         if self._for_us(message):
             self.autopilot.on_setup_signing(link, message)
+
+
+def _unique_id(given: str) -> bytes:
+    """The 18 bytes of uid2: as given; none; or drawn anew, as two boards of one make differ too."""
+    if given == "none":
+        return bytes(18)
+    return (bytes.fromhex(given) if given else secrets.token_bytes(12)).ljust(18, b"\0")

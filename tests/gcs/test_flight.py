@@ -16,9 +16,9 @@ from gcs.flight import (
     OperatorCommand,
     TransitionError,
     advance,
-    check_operator_command,
     handover_step,
 )
+from gcs.operator_commands import check_operator_command
 
 
 def reachable(start: FlightState) -> set[FlightState]:
@@ -61,8 +61,8 @@ def test_a_lapsed_stream_never_goes_back_to_cruise_directly() -> None:
 
 
 @pytest.mark.parametrize("end", [s for s in FlightState if s.ended])
-def test_only_a_completed_flight_exits_with_zero(end: FlightState) -> None:
-    assert end.exit_code == (0 if end is FlightState.COMPLETED else 4)
+def test_only_a_flight_completed_or_landed_as_commanded_exits_with_zero(end: FlightState) -> None:
+    assert end.exit_code == (0 if end in (FlightState.COMPLETED, FlightState.LANDED) else 4)
     with pytest.raises(TransitionError, match="it has ended"):
         advance(end, FlightState.CRUISE)
 

@@ -18,7 +18,7 @@ from tests.support.paths import ROOT
 
 # The module pymavlink 2.4.50 makes of the overlay. It changes with either of them and with nothing else: read the diff
 # of the module before and after, then write the new digest here.
-SHA256 = "879ab991591d0cef25d26a0f8dc2a602b385323e401f88a4a1b034333801d902"
+SHA256 = "68fc9f0ed4895fa67edc0c08c3fdd84a78b1a6b24a0d8ce3d3168cf993b32527"
 
 
 def digest(module: Path) -> str:

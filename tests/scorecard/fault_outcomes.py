@@ -110,7 +110,11 @@ ROWS: tuple[Row, ...] = (
     both("unknown-messages", COMPLETED, "what nobody knows is dropped unread"),
     # telemetry
     both("heartbeat-loss", COMPLETED, "for 10 s other messages show that it flies our setpoints"),
-    both("heartbeat-stuck", LOST, "it shows no landing: it must not be called landed; given up after half an hour"),
+    both(
+        "heartbeat-stuck",
+        LOST,
+        "it shows no landing: it must not be called landed; given up two minutes after touchdown",
+    ),
     both("heartbeat-late", COMPLETED, "a mode seen 3 s late is waited for"),
     both("heartbeat-critical", COMPLETED, "the autopilot's own judgement moves its own failsafe, not us"),
     both("heartbeat-wrong-autopilot", REFUSED, "setpoints in the wrong frame would be flown elsewhere"),

@@ -38,7 +38,7 @@ BANNED = {
 
 LEVELS = {
     "planner": (
-        ("errors", "arrays", "remedy", "bezier", "problem", "trajectory", "speed_profile"),
+        ("errors", "arrays", "remedy", "bezier", "problem", "airspeed", "trajectory", "speed_profile"),
         ("coverage",),
         ("certificate", "energy", "solution", "infeasibility"),
         ("routing", "corridor"),
@@ -47,7 +47,7 @@ LEVELS = {
     ),
     "gcs": (
         ("errors", "timestamps", "flight", "settings", "geodesy"),
-        ("document_reader", "store"),
+        ("document_reader", "operator_commands", "store"),
         ("mission",),
         ("layout",),
         ("plan", "remedies"),
@@ -87,6 +87,7 @@ PUBLIC_MODULES = (
     "gcs.document_reader",
     "gcs.errors",
     "gcs.flight",
+    "gcs.operator_commands",
     "gcs.settings",
     "gcs.timestamps",
     "link.clock",
@@ -106,24 +107,29 @@ SURFACE = {
     "planner.joint": "Effort plan_joint",
     "planner.paper": "Iteration plan_paper shortest_sequence",
     "planner.routing": "candidate_routes lower_bound",
-    "gcs.exports": "FORMATS export_handovers parse_launch summary write_atomic",
+    "gcs.exports": "FORMATS export_handovers parse_launch summary umask write_atomic",
     "gcs.geodesy": "WGS84_A_M WGS84_E2 Plane",
     "gcs.jobs": "PlanningPool",
     "gcs.layout": "lay_out",
-    "gcs.mission": "Mission MissionOptions parse_mission_json parse_option read_mission with_options write_mission",
+    "gcs.mission": (
+        "Mission MissionOptions parse_mission_json parse_option read_mission station_faults with_options write_mission"
+    ),
     "gcs.plan": "FailsafeReturn Place Plan ReturnRules failsafe_returns read_plan",
     "gcs.planning": "ReplanOrder default_planner plan_mission product_version recertify replan with_costs",
-    "gcs.store": "Entry FlightRecord Idempotency MissionRecord Store",
+    "gcs.store": "DataOwner Entry FlightRecord Idempotency MissionRecord Store back_up restore",
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
     "link.director": "PREFLIGHT_VALID_S judge_next",
-    "link.files": "FORMATS Format read_tlog report_flight setpoint_file",
+    "link.files": "FORMATS FileJournal Format read_tlog report_flight setpoint_file",
     "link.microservices": "Parameter",
     "link.preflight": "Check Identity Level judge_failsafes judge_identity worst worst_first",
     "link.session": "FlightRequest",
     "link.setpoints": "RATE_LIMITS_HZ Setpoint SetpointSampler",
-    "link.streamer": "FlightResult RunningFlight attach raise_priority start_flight",
-    "link.transport": "LinkLocks LinkUrl Sender parse_url",
+    "link.streamer": (
+        "FlightResult RegisteredFlight RunningFlight VehicleDesk ask attach epitaph events_of flight_on open_desk "
+        "raise_priority registered_flights start_flight"
+    ),
+    "link.transport": "LinkLocks LinkUrl Sender is_local parse_url",
     "link.wire": "Signing SigningKey SigningStore StationCodec",
     "api.bench.paper": (
         "ALLOCATIONS TABLE_3 Results ResultsError Settings cells_3 draw_all matplotlib_available mean "
@@ -135,17 +141,18 @@ SURFACE = {
     ),
     "api.cli": "main",
     "api.processes": "QUICK_MISSION Child ChildError Children home_under python_module start_simulator",
-    "api.rest": "create_app",
+    "api.rest": "BACKLOG Limits connection_class create_app possible_connections",
     "api.rest.schemas": (
         "BAD_INPUT_EXAMPLE ENTRY_ID INFEASIBLE_EXAMPLE LOCAL_MISSION_EXAMPLE MISSION_EXAMPLE CommandBody "
         "FlightDetail FlightEvents FlightPage FlightSummary InfeasibleDetails LaunchCommand LinkEntry MissionBody "
         "MissionDetail MissionPage MissionProblem MissionSummary NewFlight PlanBody ProblemDetails RegisteredLink "
-        "RegisteredStation RegisteredVehicle RegistryPage ReplanCommand ReplanProposal ReplanRequest StationEntry "
-        "Status VehicleEntry VersionList"
+        "RegisteredStation RegisteredVehicle RegistryPage ReplanCommand ReplanProposal ReplanRequest Restored "
+        "RestoreRequest StationEntry Status VehicleEntry VersionList"
     ),
     "api.service": (
         "Changes FlightService FlightStatus Metrics Proposal ReplanError ReplanFailedError ReplanInfeasibleError "
-        "ReplanStateError Replanning ServiceError Services StillStoppingError configure_logging outer_state"
+        "ReplanStateError Replanning ServiceError Services StillStoppingError configure_logging outer_state "
+        "restore_vehicle"
     ),
     "sitl_fixtures.ardupilot": "ArduCopter",
     "sitl_fixtures.autopilot": "AutopilotModel",
@@ -162,7 +169,9 @@ LONG_FUNCTIONS: dict[str, str] = {
 }
 """Functions of more than sixty lines, each with its reason: tables, and wiring told from beginning to end."""
 
-FULL_FOLDERS: dict[str, str] = {}
+FULL_FOLDERS: dict[str, str] = {
+    "link/director": "a procedure each, from launch to landing, beside the core that runs them",
+}
 """Folders of more than twelve modules, each with its reason."""
 
 

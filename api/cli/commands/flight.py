@@ -1,4 +1,4 @@
-"""``skyrelay flight``: operator commands to a flight of the service: hold, resume, abort, land, replan, accept."""
+"""``skyrelay flight``: operator commands to a flight, of the service or of ``fly``: hold, resume, abort, land."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from urllib.parse import quote
 
 import typer
 
-from api.cli.errors import BadInputError, InfeasibleError
+from api.cli.errors import BadInputError, FaultError, InfeasibleError
 
 if TYPE_CHECKING:
     from api.cli.rest_client import ServiceClient
+    from link.streamer import RegisteredFlight
 
 _FRAMES = (("lat_deg", "lon_deg", "alt_amsl_m"), ("east_m", "north_m", "up_m"))
 
@@ -27,9 +28,10 @@ def flight(
         str | None, typer.Argument(metavar="[FLIGHT]", help="Its id; left out, the flights under way are listed.")
     ] = None,
     command: Annotated[
-        Literal["look", "hold", "resume", "abort", "land", "replan", "accept"],
+        Literal["look", "attach", "hold", "resume", "abort", "land", "replan", "accept"],
         typer.Argument(
-            help="look: where it is; hold: stop on the path; resume: go on; abort: the contingency procedure in force; "
+            help="look: where it is; attach: show it until it ends (of `fly`); "
+            "hold: stop on the path; resume: go on; abort: the contingency procedure in force; "
             "land: at once, wherever that is; replan: propose a plan from here; accept: fly the plan proposed."
         ),
     ] = "look",
@@ -52,15 +54,22 @@ def flight(
     by: Annotated[str | None, typer.Option(metavar="NAME", help="Who commands it, for the record.")] = None,
     reason: Annotated[str | None, typer.Option(metavar="TEXT", help="Why, for the record.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the service's answer.")] = False,
-) -> None:
-    """Look at a flight that runs in the service, and command it: hold it, let it go on, end it, plan it anew.
+) -> int:
+    """Look at a flight, of the service or of `fly`, and command it: hold it, let it go on, end it, plan it anew.
 
     A plan proposed changes nothing until it is accepted: `skyrelay flight ID replan`, then `accept --plan SHA256`.
     """
+    from api.cli.commands import local_flight
     from api.cli.rest_client import RefusedError, ServiceClient
 
+    local = local_flight.find(flight_id)
+    if command == "attach":
+        return local_flight.attend(local, flight_id, as_json=as_json)
     client = ServiceClient(service.rstrip("/") + "/")
     try:
+        # Not by way of a service that does not know it.
+        if local is not None and local.flight_id.startswith("fly-"):
+            raise FaultError("not the service's")
         answer, text = _asked(
             client,
             flight_id,
@@ -73,7 +82,29 @@ def flight(
         )
     except RefusedError as refusal:
         raise _refused(refusal.status, refusal.problem) from None
+    except FaultError as fault:
+        answer, text = _without_service(local, flight_id, command, {"by": by, "reason": reason}, fault)
     typer.echo(json.dumps(answer, indent=1) if as_json else text)
+    return 0
+
+
+def _without_service(
+    local: RegisteredFlight | None, flight_id: str | None, command: str, given: Mapping[str, Any], fault: FaultError
+) -> tuple[Any, str]:
+    """What can be said where the service is away and the flight itself is on this machine; else raises ``fault``."""
+    from api.cli.commands import local_flight
+
+    if local is not None:
+        return local_flight.command(local, command, given)
+    if flight_id is None and (here := local_flight.listed(set())):
+        return {"items": here}, "\n".join(map(_local_line, here)) + f"\n({fault.headline})"
+    raise fault
+
+
+def _local_line(one: Mapping[str, Any]) -> str:
+    from api.cli.commands.flight_view import state_text
+
+    return f"{one['id']}  {state_text(one['phase']):<12} of `fly`, over {', '.join(one['links'])}"
 
 
 def _asked(
@@ -88,11 +119,15 @@ def _asked(
     plan_sha256: str | None,
 ) -> tuple[Any, str]:
     """The service's answer, and what it is in words. Raises `api.cli.rest_client.RefusedError`, `BadInputError`."""
+    from api.cli.commands import local_flight
     from api.cli.commands.flight_view import state_text
 
     if flight_id is None:
         flights = service.call("GET", "v1/flights?active=true&limit=200")
         lines = [f"{f['id']}  {state_text(f['phase']):<12} vehicle {f['vehicle_id']}" for f in flights["items"]]
+        here = local_flight.listed({f["id"] for f in flights["items"]})
+        lines += map(_local_line, here)
+        flights = {**flights, "items": flights["items"] + here}
         return flights, "\n".join(lines) or "no flight is under way"
     address = f"v1/flights/{quote(flight_id, safe='')}"
     if command == "replan":
@@ -133,7 +168,7 @@ def _place(text: str, frame: Mapping[str, Any]) -> dict[str, float]:
 
 def _shown(answer: Mapping[str, Any]) -> str:
     """A flight now, in a line or two."""
-    from api.cli.commands.flight_view import clock, state_text
+    from api.cli.commands.flight_view import clock, lapse_text, state_text
 
     live = answer["live"]
     parts = [state_text(answer["phase"])]
@@ -142,12 +177,14 @@ def _shown(answer: Mapping[str, Any]) -> str:
     if live["station"] is not None:
         parts.append(f"{live['station']} in control")
     if live["margin_m"] is not None:
-        parts.append(f"{live['margin_m']:.0f} m of range left")
+        margin_m = live["margin_m"]
+        parts.append(f"{margin_m:.0f} m of range left" if margin_m >= 0.0 else f"{-margin_m:.0f} m OUT OF RANGE")
     following = live["next_handover"]
     if following:
         parts.append(f"{following['to']} takes over in {clock(max(0.0, following['in_s']))}")
     line = f"flight {answer['id']}: {', '.join(parts)}"
-    return f"{line}\n  {live['reason']}" if live["reason"] else line
+    line = f"{line}\n  {live['reason']}" if live["reason"] else line
+    return f"{line}\n  {lapse_text(live['lapse'])}" if live.get("lapse") else line
 
 
 def _proposed(flight_id: str, proposal: Mapping[str, Any]) -> str:

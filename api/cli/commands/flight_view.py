@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from api.cli.console import Progress
@@ -25,7 +26,7 @@ _DONE = {
 
 
 # States by the name the field has for them, where ours is shorter.
-_STATE_TEXTS = {"lapsed": "lost C2 link", "contingency": "contingency procedure"}
+_STATE_TEXTS = {"lapsed": "lost C2 link", "contingency": "contingency procedure", "landed": "landed by command"}
 
 
 def state_text(state: object) -> str:
@@ -37,6 +38,29 @@ def clock(seconds: float) -> str:
     """Seconds as h:mm:ss."""
     whole = round(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
+def lapse_text(lapse: Mapping[str, Any]) -> str:
+    """After the C2 link was lost: what is happening, until when, what may be commanded."""
+    parts = [f"the vehicle is in {lapse.get('mode') or 'no mode known'}"]
+    if lapse.get("on_ground"):
+        parts.append("on the ground, armed" if lapse.get("armed") else "on the ground")
+    near, margin_m = lapse.get("nearest_station"), lapse.get("nearest_margin_m")
+    if near is not None and margin_m is not None:
+        covers = f"in range of {near}" if margin_m >= 0.0 else f"{-margin_m:.0f} m out of range of {near}, the nearest"
+        parts.append(covers)
+        closes = lapse.get("closes_m_s")
+        if margin_m < 0.0 and closes is not None:
+            coming = f"coming back at {closes:.1f} m/s" if closes > 0.2 else f"going away at {-closes:.1f} m/s"
+            parts.append(coming if abs(closes) > 0.2 else "not coming closer")
+    if lapse.get("then"):
+        parts.append(f"{clock(lapse['until_in_s'])} in this mode, {lapse['then']}")
+    if lapse.get("resuming"):
+        parts.append("coming back in")
+    if lapse.get("resume_blocked"):
+        parts.append(f"no resume now: {lapse['resume_blocked']}")
+    parts.append(f"it takes: {lapse.get('commands', 'land, abort')} (skyrelay flight ID COMMAND)")
+    return "; ".join(parts)
 
 
 class FlightView:
@@ -74,14 +98,17 @@ class FlightView:
             parts.append(f"T+ {clock(t_plus_s)}{whole}")
             if state != "cruise":
                 parts.append(state_text(state))
+        if state == "lapsed" and data.get("lapse"):
+            return ", ".join([*parts, lapse_text(data["lapse"])])
         if data.get("speed_m_s") is not None:
             parts.append(f"{data['speed_m_s']:.1f} m/s")
         if data.get("error_m") is not None and state in _ON_THE_PATH:
             parts.append(f"{data['error_m']:.1f} m off the plan")
         if data.get("margin_m") is not None:
-            parts.append(f"{data['margin_m']:.0f} m of range left")
+            margin_m = data["margin_m"]
+            parts.append(f"{margin_m:.0f} m of range left" if margin_m >= 0.0 else f"{-margin_m:.0f} m OUT OF RANGE")
         upcoming = data.get("handovers") or []
-        if upcoming and t_plus_s is not None:
+        if upcoming and t_plus_s is not None and state == "cruise":
             wait = clock(max(0.0, upcoming[0]["t_plus_s"] - t_plus_s))
             parts.append(f"{upcoming[0]['to']} takes over in {wait}")
         return ", ".join(parts)
@@ -105,6 +132,8 @@ class FlightView:
         if kind == "handover" and data["state"] in _WORTH_TELLING:
             reason = f" ({data['reason']})" if data.get("reason") and data["state"] != "released" else ""
             return f"handover {data['index']}, {data['from']} to {data['to']}: {_DONE[data['state']]}{reason}"
+        if kind == "alarm" and data["what"] == "lost C2 link":
+            return f"lost C2 link: {lapse_text(data)}"
         if kind == "alarm":
             more = ", ".join(f"{k} {v}" for k, v in data.items() if k != "what")
             return f"ALARM: {data['what']}" + (f" ({more})" if more else "")
@@ -143,15 +172,18 @@ def result_lines(plan: Plan, result: FlightResult, log: str | None = None) -> li
     """How a flight went, for people."""
     summary = result.summary
     completed = result.exit_code == 0
-    reason = f": {result.reason}" if result.reason and not completed else ""
-    lines = [f"flight report: {'arrived, flown as planned' if completed else state_text(result.state.value) + reason}"]
+    as_planned = completed and result.state.value == "completed"
+    reason = f": {result.reason}" if result.reason and not as_planned else ""
+    lines = [f"flight report: {'arrived, flown as planned' if as_planned else state_text(result.state.value) + reason}"]
     flown = summary.get("flown_s")
     if flown is not None:
         lines.append(
             f"  flown         {clock(flown)} from T+0 to the end, landing included (plan {clock(plan.mission_time_s)})"
         )
     if "handovers" in summary:
-        lines.append(f"  handovers     {summary['handovers']} of {len(plan.handovers)}")
+        back = summary.get("handovers_back") or 0
+        along = f"{summary['handovers'] - back} of {len(plan.handovers)}"
+        lines.append(f"  handovers     {along}" + (f", and {back} on the way back" if back else ""))
     if summary.get("setpoints"):
         lines.append(
             f"  tracking      {summary['tracking_rms_m']:.2f} m rms, {summary['tracking_worst_m']:.2f} m at worst"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import secrets
 import shutil
 import signal
 import sys
@@ -80,6 +81,13 @@ class FlyOptions:
     allow_unsigned: Annotated[
         bool, typer.Option("--allow-unsigned", help="Fly without signing over links that leave this machine.")
     ] = False
+    rescue: Annotated[
+        bool,
+        typer.Option(
+            "--rescue",
+            help="Take over an ArduPilot that is locked to other stations' ids, by its own; it gets them back after.",
+        ),
+    ] = False
     as_json: Annotated[
         bool, typer.Option("--json", help="Print every event as a line of JSON instead of the report.")
     ] = False
@@ -88,8 +96,9 @@ class FlyOptions:
 def run_fly(given: FlyOptions) -> int:
     """Fly a plan: preflight, arm, take off, follow the plan, hand over from station to station, land.
 
-    Ctrl-C in the air asks for the contingency procedure in force; a second one lets go of the vehicle, whose own
-    failsafe then acts. Ends with 4 when the flight did not end as planned.
+    Ctrl-C commands `abort`: on the ground motors off and everything given back, in the air the contingency procedure in
+    force; a second one lets go of the vehicle, whose own failsafe then acts. Ends with 0 when the flight was flown as
+    planned, or landed where an operator commanded it to; else with 4.
     """
     plan = inputs.plan(given.plan_file)
     request = request_of(
@@ -105,6 +114,8 @@ def run_fly(given: FlyOptions) -> int:
         lay_geofence=given.fence,
         signing_key=given.signing_key,
         allow_unsigned=given.allow_unsigned,
+        rescue=given.rescue,
+        flight_id=f"fly-{secrets.token_hex(3)}",
     )
     with Progress() as progress:
         result, view = run(plan, request, progress, as_json=given.as_json)
@@ -191,9 +202,11 @@ def run(
         flight = start_flight(request, on_event=on_event, run_dir=folder)
     except FlightRequestError as error:
         shutil.rmtree(folder, ignore_errors=True)
-        raise refused(error.problems) from None
+        raise _taken(request) or refused(error.problems) from None
     except SupervisorError as error:
         raise FaultError("the streamer could not be started", {"what": str(error)}) from None
+    if not as_json:
+        progress.note(f"flight {request.flight_id}; from another terminal: skyrelay flight {request.flight_id}")
     with held(flight, progress):
         result = _wait(flight, progress)
     if result.exit_code == 0 or result.state == "refused":
@@ -202,6 +215,24 @@ def run(
     else:
         progress.note(f"what the streamer kept of this flight is in {folder}")
     return result, view
+
+
+def _taken(request: FlightRequest) -> BadInputError | None:
+    """A flight that is under way on one of these links, and how to reach it."""
+    from link.streamer import flight_on
+
+    other = flight_on(url for urls in request.urls.values() for url in urls)
+    if other is None:
+        return None
+    return BadInputError(
+        f"flight {other.flight_id} flies over this link",
+        {
+            "where": "--link",
+            "value": ", ".join(other.urls),
+            "what": f"its streamer is process {other.pid}, begun {other.started_utc}; ending that leaves the aircraft",
+            "fix": f"skyrelay flight {other.flight_id} attach, or look, hold, resume, abort, land",
+        },
+    )
 
 
 @contextlib.contextmanager
@@ -215,34 +246,55 @@ def held(flight: RunningFlight, progress: Progress) -> Iterator[None]:
     except BaseException as error:
         if flight.result is None:
             if isinstance(error, Terminated) and error.signal_number == signal.SIGHUP:
-                flight.detach()
+                _leave(flight)
             else:
                 progress.note("letting go of the vehicle: its own failsafe has it now")
                 flight.kill()
         raise
 
 
-def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
-    """Until the flight ends. The first Ctrl-C (or SIGTERM) in the air commands `abort`; any other ends this."""
+def _leave(flight: RunningFlight) -> None:
+    """The terminal went away: in the air the flight goes on; on the ground nobody is there for it to begin."""
     from gcs.flight import TransitionError
+    from link.errors import SupervisorError
 
-    asked = False
+    event = flight.last_event
+    if event is None or not (event.state.airborne or event.state == "arming"):
+        with contextlib.suppress(TransitionError, SupervisorError):
+            flight.command("abort", by="SIGHUP", reason="the terminal is gone")
+    flight.detach()
+
+
+def _wait(flight: RunningFlight, progress: Progress) -> FlightResult:
+    """Until the flight ends. The first Ctrl-C (or SIGTERM) commands `abort`: in the air the contingency, on the ground
+    the end, which waits until the vehicle has back what was changed. Any other ends this.
+    """
+    from gcs.flight import TransitionError
+    from link.errors import SupervisorError
+
+    asked, ending = False, None
     while True:
         try:
             while flight.result is None:
                 with contextlib.suppress(TimeoutError):
-                    return flight.wait(_LOOK_S)
+                    flight.wait(_LOOK_S)
+            if ending is not None:
+                raise ending
             return flight.wait()
         except (KeyboardInterrupt, Terminated) as error:
             event = flight.last_event
             dropped = isinstance(error, Terminated) and error.signal_number == signal.SIGHUP
-            if asked or dropped or event is None or not event.state.airborne:
+            if asked or dropped or flight.result is not None:
                 raise
             asked = True
-            progress.note("flying the contingency procedure; Ctrl-C again lets go of the vehicle")
+            if event is not None and event.state.airborne:
+                progress.note("flying the contingency procedure; Ctrl-C again lets go of the vehicle")
+            else:
+                ending = error
+                progress.note("ending the flight on the ground, and giving back what it changed on the vehicle")
             try:
                 flight.command("abort", by="Ctrl-C")
-            except TransitionError as refusal:
+            except (TransitionError, SupervisorError) as refusal:
                 progress.note(f"refused: {refusal}")
 
 

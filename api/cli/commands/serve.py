@@ -68,27 +68,48 @@ def serve(
         from api.service import configure_logging
 
         configure_logging(settings.log_style, settings.log_level)
-        run(create_app(settings), listener)
+        run(create_app(settings), listener, settings)
 
 
 def _check_store(settings: Settings) -> None:
     """Open the store once before the service does, so that what is wrong with it is said in one block."""
     from gcs.errors import StoreUnavailable
-    from gcs.store import Store
+    from gcs.store import DataOwner, Store
 
-    fix = "name another place with --data, or restore a safety copy"
     try:
         settings.prepare()
-        Store(settings.url, lock_timeout_s=settings.lock_timeout_s).close()
     except OSError as error:
-        what = error.strerror or str(error)
         raise BadInputError(
-            "the data cannot be kept there", {"where": str(settings.data_dir), "what": what, "fix": fix}
+            "the data cannot be kept there",
+            {
+                "where": str(settings.data_dir),
+                "what": error.strerror or str(error),
+                "fix": "name another place with --data, or restore a safety copy",
+            },
         ) from None
+    try:
+        DataOwner(settings.data_dir).close()
     except StoreUnavailable as error:
         raise BadInputError(
-            "the store cannot be used", {"where": str(settings.data_dir), "what": str(error), "fix": fix}
+            "the data directory is in use",
+            {"where": str(settings.data_dir), "what": str(error), "fix": "stop that service, or name another --data"},
         ) from None
+    try:
+        Store(settings.url, lock_timeout_s=settings.lock_timeout_s).close()
+    except StoreUnavailable as error:
+        raise BadInputError(
+            "the store cannot be used",
+            {"where": settings.shown_url, "what": str(error), "fix": _store_fix(settings)},
+        ) from None
+
+
+def _store_fix(settings: Settings) -> str:
+    if settings.database_url is None:
+        return "name another place with --data, or restore a safety copy (`skyrelay restore`)"
+    return (
+        "start the database there, or correct SKYRELAY_DATABASE_URL: postgresql://USER@HOST/DATABASE; without it the "
+        "missions are kept in a file"
+    )
 
 
 def _is_loopback(host: str) -> bool:
@@ -103,13 +124,17 @@ def _is_loopback(host: str) -> bool:
 def listen(host: str, port: int) -> socket.socket:
     """A bound listening socket. Raises `BadInputError` when the address or port cannot be had."""
     try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        family, _, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
     except OSError as error:
         raise BadInputError(
             "the address to listen on is not known",
             {"where": "--host", "value": host, "what": error.strerror, "fix": "use an IP address of this machine"},
         ) from None
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    # Named, because asyncio sends without delay (TCP_NODELAY) only where the protocol says TCP: an answer on a kept
+    # connection would wait some 40 ms for the acknowledgement of the one before.
+    listener = socket.socket(family, socket.SOCK_STREAM, protocol or socket.IPPROTO_TCP)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind(address)
@@ -129,9 +154,18 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def run(application: ASGIApp, listener: socket.socket) -> None:
+def run(application: ASGIApp, listener: socket.socket, settings: Settings) -> None:
     """Serve until a signal; print the address when ready."""
     import uvicorn
+
+    from api.rest import BACKLOG, Limits, connection_class, possible_connections
+
+    limits = Limits(
+        settings.headers_timeout_s,
+        settings.body_timeout_s,
+        settings.reading_timeout_s,
+        possible_connections(settings.max_connections),
+    )
 
     name, port = listener.getsockname()[:2]
     shown = f"[{name}]" if ":" in name else name
@@ -144,6 +178,8 @@ def run(application: ASGIApp, listener: socket.socket) -> None:
 
     config = uvicorn.Config(
         application,
+        http=connection_class(limits),
+        backlog=BACKLOG,
         log_config=None,
         access_log=False,
         server_header=False,

@@ -38,6 +38,7 @@ def examine(url: str, *, system_id: int, timeout_s: float, as_json: bool) -> int
     from link.preflight import Level, worst, worst_first
 
     address = _address(url)
+    owned = _ownership(url, system_id, timeout_s)
     with _client(url, address, system_id) as client:
         system = client.first_autopilot(timeout_s)
         if system is None:
@@ -51,6 +52,7 @@ def examine(url: str, *, system_id: int, timeout_s: float, as_json: bool) -> int
                 },
             )
         profile, vehicle, checks = _judge(system, url)
+    checks += owned
     fit = worst(checks) < Level.FAILURE
     checks = worst_first(checks)
     if as_json:
@@ -141,6 +143,37 @@ def _judge(system: Any, url: str) -> tuple[AutopilotProfile, dict[str, Any], lis
         "parameters": {p.name: p.value for p in values.values() if p is not None},
     }
     return profile, vehicle, checks
+
+
+def _ownership(url: str, asked_as: int, timeout_s: float) -> list[Check]:
+    """Whom it hears, what flights left changed on it, whether it signs; nothing where it is not heard."""
+    from api.cli.commands.vehicle import ownership_text
+    from link.errors import LinkError
+    from link.files import FileJournal
+    from link.preflight import Check, Level
+    from link.streamer import open_desk
+
+    try:
+        with open_desk(url, timeout_s=timeout_s) as desk:
+            told = desk.identify(FileJournal())
+    except LinkError:
+        return []  # why, the other client says
+    signed = "its frames are signed: a flight needs its key" if told["signed"] else "its frames are not signed"
+    checks = [Check("signing", Level.PASS, signed, told["signed"])]
+    left = [note for note in told["left_by"] if not note["flies"]]
+    restore = f"skyrelay vehicle restore --link {url}"
+    if left:
+        what = "; ".join(f"flight {note['flight']} left changed: {', '.join(note['changed'])}" for note in left)
+        checks.append(Check("left by flights", Level.WARNING, what, len(left), "nothing", fix=restore))
+    level, ids = Level.PASS, sorted(v for name, v in told["gcs_ids"].items() if "SYSID" in name and v and v < 255)
+    if told["locked"]:
+        heard = bool(ids) and ids[0] <= asked_as <= ids[-1]
+        level = Level.WARNING if heard else Level.FAILURE
+    fix = restore if left else f"{restore} --unlock, or fly with those ids, or with --rescue"
+    return [
+        *checks,
+        Check("ownership", level, ownership_text(told), told["locked"], "heard by whoever flies it", fix=fix),
+    ]
 
 
 def _identity(system: Any) -> tuple[Identity | None, int | None]:

@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
 from api.rest import schemas
+from api.rest.bodies import StrictRoute
 from api.rest.dependencies import Wired, services_of
 from api.rest.problems import ApiError
 from api.rest.routes import shared
@@ -20,7 +21,7 @@ from api.service import FlightStatus, Services, outer_state
 from gcs.flight import OperatorCommand
 from gcs.store import FlightRecord
 
-router = APIRouter(prefix="/v1/flights", tags=["flights"])
+router = APIRouter(prefix="/v1/flights", tags=["flights"], route_class=StrictRoute)
 
 FlightId = Annotated[str, Path(max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
 HandoverIndex = Annotated[int, Path(ge=1, le=100_000, description="As in the plan, from 1.")]
@@ -93,7 +94,9 @@ def list_flights(
     services: Wired,
     limit: Limit = 50,
     cursor: Cursor = None,
-    mission_id: Annotated[str | None, Query(max_length=64, description="Only those of this mission.")] = None,
+    mission_id: Annotated[
+        str | None, Query(max_length=64, pattern=shared.PLAIN_ID, description="Only those of this mission.")
+    ] = None,
     active: Annotated[bool, Query(description="Only those that have not ended.")] = False,
 ) -> schemas.FlightPage:
     """Newest first, a page at a time."""
@@ -110,7 +113,7 @@ def list_flights(
 def get_flight(services: Wired, flight_id: FlightId) -> schemas.FlightDetail:
     """State, preflight, where it is, alarms, how it ended."""
     with shared.domain_errors():
-        body = shown(services, services.store.flights.get(flight_id), whole=True)
+        body = shown(services, services.flights.record(flight_id), whole=True)
     return schemas.FlightDetail.model_validate(body)
 
 
@@ -123,6 +126,7 @@ def events(
 ) -> schemas.FlightEvents:
     """Events in order, append-only: states, checks, operator commands, handovers, alarms, now and then a position."""
     with shared.domain_errors():
+        services.flights.settle(flight_id)
         services.store.flights.get(flight_id)
         found = services.store.flights.events(flight_id, after=after, limit=limit)
     return schemas.FlightEvents.model_validate({"items": [event.to_document() for event in found]})
@@ -136,6 +140,12 @@ def launch(services: Wired, flight_id: FlightId, body: schemas.LaunchCommand) ->
             flight_id, plan_sha256=body.plan_sha256, preflight_id=body.preflight_id, by=body.by or "REST"
         )
     return get_flight(services, flight_id)
+
+
+@router.post("/{flight_id}/preflight", summary="Make the preflight again")
+def preflight(services: Wired, flight_id: FlightId, body: schemas.CommandBody | None = None) -> schemas.FlightDetail:
+    """Before the launch command, which needs one under 60 s old: the vehicle and its links are judged anew."""
+    return _command(services, flight_id, OperatorCommand.PREFLIGHT, body)
 
 
 def _command(
@@ -253,7 +263,7 @@ async def telemetry(socket: WebSocket, flight_id: MissionId) -> None:
 
     def look() -> FlightStatus:
         with shared.domain_errors():
-            services.store.flights.get(flight_id)
+            services.flights.record(flight_id)
             return services.flights.look(flight_id)
 
     await socket.accept()

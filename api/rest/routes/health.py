@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import anyio.to_thread
 from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse, Response
 
@@ -17,17 +18,18 @@ router = APIRouter(tags=["service"])
 
 
 @router.get("/healthz", summary="Is it alive?")
-def healthz() -> Health:
-    """Answers as long as the process does; asks nothing else."""
+async def healthz() -> Health:
+    """Answers as long as the process does; asks nothing else, and waits for no thread."""
     return Health(status="ok", version=product_version(), checks={})
 
 
 @router.get("/readyz", summary="Can it work?")
-def readyz(services: Wired) -> Health:
-    """The store answers and a planner is warm; 503 with what is missing otherwise."""
+async def readyz(services: Wired) -> Health:
+    """The store takes a write and a planner is warm; 503 with what is missing otherwise."""
     checks = {"store": "ok", "planner": "ok"}
     try:
-        services.store.check()
+        # On a thread of its own: it must not wait for one behind what it is asked about.
+        await anyio.to_thread.run_sync(services.store.check, limiter=services.probes)
     except StoreUnavailable as error:
         checks["store"] = str(error)
     if not services.pool.ready:

@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
 from api.rest import schemas
+from api.rest.bodies import StrictRoute
 from api.rest.dependencies import Wired
 from api.rest.routes import shared
 from api.rest.routes.shared import Cursor, IdempotencyKey, Limit, MissionId, RawBody, Version
@@ -22,7 +23,7 @@ from gcs.mission import parse_mission_json, write_mission
 from gcs.store import MissionRecord
 from link.files import FORMATS as SETPOINT_FORMATS
 
-router = APIRouter(prefix="/v1/missions", tags=["missions"])
+router = APIRouter(prefix="/v1/missions", tags=["missions"], route_class=StrictRoute)
 
 FORMATS = {"handovers": list(HANDOVER_FORMATS), "setpoints": list(SETPOINT_FORMATS), "export": list[str]()}
 # Events are pushed; this often the store is looked at as well, for planners that run elsewhere.
@@ -59,9 +60,8 @@ _CREATED: dict[int | str, dict[str, Any]] = {
 }
 
 
-def summary(services: Services, record: MissionRecord) -> dict[str, Any]:
+def summary(record: MissionRecord) -> dict[str, Any]:
     """A version as `schemas.MissionSummary`."""
-    facts = services.facts_of(record)
     return {
         "id": record.id,
         "name": record.name,
@@ -70,8 +70,8 @@ def summary(services: Services, record: MissionRecord) -> dict[str, Any]:
         "status": record.status,
         "progress": {"phase": record.phase, "fraction": record.progress},
         "plan_sha256": record.plan_sha256,
-        "mission_time_s": facts and facts.mission_time_s,
-        "handover_count": facts and facts.handover_count,
+        "mission_time_s": record.mission_time_s,
+        "handover_count": record.handover_count,
         "problem": problem_of(record),
         "created_utc": record.created_utc,
         "changed_utc": record.changed_utc,
@@ -92,6 +92,7 @@ def problem_of(record: MissionRecord) -> dict[str, Any] | None:
             "stations": found.get("stations"),
             "fix": found.get("fix"),
             "fix_text": found.get("fix_text"),
+            "causes": found.get("causes") or [],
         }
     if record.error is not None:
         return {"title": "Planning failed", "detail": record.error}
@@ -107,7 +108,7 @@ def _created(services: Services, record: MissionRecord, is_new: bool) -> Respons
         headers["Location"] = f"/v1/missions/{record.id}"
     if not is_new:
         headers["Idempotent-Replayed"] = "true"
-    return JSONResponse(summary(services, record), status_code=201, headers=headers)
+    return JSONResponse(summary(record), status_code=201, headers=headers)
 
 
 @router.post("", summary="Send a mission to be planned", status_code=201, responses=_CREATED, openapi_extra=_BODY)
@@ -136,7 +137,7 @@ def list_missions(
     with shared.domain_errors():
         before = shared.cursor_number(cursor)
         records = services.store.missions.page(limit=limit + 1, before=before, archived=archived, status=status)
-        items = [summary(services, record) for record in records[:limit]]
+        items = [summary(record) for record in records[:limit]]
     more = str(records[limit - 1].number) if len(records) > limit else None
     return schemas.MissionPage.model_validate({"items": items, "next": more})
 
@@ -147,7 +148,7 @@ def get_mission(services: Wired, mission_id: MissionId, version: Version = None)
     with shared.domain_errors():
         record = services.store.missions.get(mission_id, version)
         document = services.store.missions.document(mission_id, record.version)
-        body = {**summary(services, record), "mission": document, "formats": FORMATS}
+        body = {**summary(record), "mission": document, "formats": FORMATS}
     return schemas.MissionDetail.model_validate(body)
 
 
@@ -177,7 +178,7 @@ def create_version(services: Wired, mission_id: MissionId, body: RawBody, key: I
 def list_versions(services: Wired, mission_id: MissionId) -> schemas.VersionList:
     """Oldest first."""
     with shared.domain_errors():
-        items = [summary(services, record) for record in services.store.missions.versions(mission_id)]
+        items = [summary(record) for record in services.store.missions.versions(mission_id)]
     return schemas.VersionList.model_validate({"items": items})
 
 
@@ -215,7 +216,7 @@ async def events(
 
     def look() -> dict[str, Any]:
         with shared.domain_errors():
-            return summary(services, services.store.missions.get(mission_id, version))
+            return summary(services.store.missions.get(mission_id, version))
 
     first = await run_in_threadpool(look)
 

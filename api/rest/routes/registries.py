@@ -11,16 +11,18 @@ from pydantic import BaseModel
 from starlette.responses import JSONResponse, Response
 
 from api.rest import schemas
+from api.rest.bodies import StrictRoute
 from api.rest.dependencies import Wired
-from api.rest.problems import NotFoundError, UnprocessableError
+from api.rest.problems import NotFoundError, UnprocessableError, domain_faults
 from api.rest.routes import shared
 from api.rest.routes.shared import Limit
-from api.service import Services
+from api.service import Services, restore_vehicle
+from gcs.mission import station_faults
 from gcs.store import Entry
 from link.errors import EndpointUrlError
 from link.transport import parse_url
 
-router = APIRouter(prefix="/v1", tags=["registries"])
+router = APIRouter(prefix="/v1", tags=["registries"], route_class=StrictRoute)
 
 EntryId = Annotated[
     str,
@@ -31,7 +33,10 @@ EntryId = Annotated[
         examples=["den-helder"],
     ),
 ]
-After = Annotated[str | None, Query(max_length=64, alias="cursor", description="`next` of the page before.")]
+After = Annotated[
+    str | None,
+    Query(max_length=64, pattern=schemas.ENTRY_ID, alias="cursor", description="`next` of the page before."),
+]
 IfMatch = Annotated[
     str | None,
     Header(
@@ -68,7 +73,11 @@ def _page(services: Services, kind: str, limit: int, after: str | None) -> dict[
 
 
 def _check_station(body: schemas.RegisteredStation, _services: Services) -> None:
-    """Nothing beyond what the model asks."""
+    """By the rules of a mission, into which it is to be put."""
+    found = station_faults({"id": "station", **body.model_dump(exclude_none=True)})
+    if found:
+        errors = [{**fault, "where": f"body.{fault['where']}"} for fault in domain_faults(found)]
+        raise UnprocessableError(f"{errors[0]['where']}: {errors[0]['what']}", errors=errors)
 
 
 def _check_link(body: schemas.RegisteredLink, _services: Services) -> None:
@@ -90,7 +99,7 @@ def _check_link(body: schemas.RegisteredLink, _services: Services) -> None:
 
 
 def _check_vehicle(body: schemas.RegisteredVehicle, services: Services) -> None:
-    missing = []
+    missing: list[dict[str, Any]] = []
     for station, link in body.links.items():
         try:
             with shared.domain_errors():
@@ -216,3 +225,12 @@ _REGISTRIES = (
 for _registry in _REGISTRIES:
     _add_reading(_registry)
     _add_writing(_registry)
+
+
+@router.post("/vehicles/{entry_id}/restore", summary="Give back what flights left changed on a vehicle")
+def restore(services: Wired, entry_id: EntryId, body: schemas.RestoreRequest | None = None) -> schemas.Restored:
+    """From the journal of this machine: GCS ids, rally points, geofence; on the ground, disarmed, and not in flight."""
+    asked = body or schemas.RestoreRequest(unlock=False)
+    with shared.domain_errors():
+        done = restore_vehicle(services.store, entry_id, unlock=asked.unlock)
+    return schemas.Restored.model_validate(done)

@@ -24,6 +24,8 @@ from gcs.store import Idempotency
 from link.errors import FlightRequestError, SupervisorError
 
 MAX_PAGE = 200
+# As this service gives them out.
+PLAIN_ID = r"^[0-9A-Za-z_-]+$"
 
 
 async def _body(request: Request) -> bytes:
@@ -42,9 +44,7 @@ IdempotencyKey = Annotated[
         "nothing twice; with another body it is refused.",
     ),
 ]
-MissionId = Annotated[
-    str, Path(max_length=64, pattern=r"^[0-9A-Za-z_-]+$", examples=["0b6f3c1e8e0f4c0d9b1f2a3c4d5e6f70"])
-]
+MissionId = Annotated[str, Path(max_length=64, pattern=PLAIN_ID, examples=["0b6f3c1e8e0f4c0d9b1f2a3c4d5e6f70"])]
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Version of the mission; default the latest.")]
 Limit = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Most items on this page.")]
 Cursor = Annotated[

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from api.rest.schemas.base import BAD_INPUT_EXAMPLE, INFEASIBLE_EXAMPLE, InfeasibleDetails, ProblemDetails
+from api.rest.schemas.base import BAD_INPUT_EXAMPLE, ENTRY_ID, INFEASIBLE_EXAMPLE, InfeasibleDetails, ProblemDetails
 from api.rest.schemas.flights import (
     CommandBody,
     FlightDetail,
@@ -28,12 +28,13 @@ from api.rest.schemas.missions import (
     VersionList,
 )
 from api.rest.schemas.registries import (
-    ENTRY_ID,
     LinkEntry,
     RegisteredLink,
     RegisteredStation,
     RegisteredVehicle,
     RegistryPage,
+    Restored,
+    RestoreRequest,
     StationEntry,
     VehicleEntry,
 )
@@ -67,6 +68,8 @@ __all__ = [
     "ReplanCommand",
     "ReplanProposal",
     "ReplanRequest",
+    "RestoreRequest",
+    "Restored",
     "StationEntry",
     "Status",
     "VehicleEntry",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 INFEASIBLE_EXAMPLE: dict[str, Any] = {
     "type": "urn:skyrelay:problem:infeasible",
@@ -37,6 +37,23 @@ BAD_INPUT_EXAMPLE: dict[str, Any] = {
 }
 
 
+ENTRY_ID = r"^[^\W_][\w .:+#()'&-]{0,63}$"
+# No control, direction or zero-width character: a name must look like what it is, in logs and on the radio.
+_UNSEEN = r"\x00-\x1f\x7f-\x9f\xad\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"
+TEXT = f"^[^{_UNSEEN}]*$"
+# The same, not empty, without blanks at its ends.
+NAME = rf"^[^\s{_UNSEEN}]([^{_UNSEEN}]*[^\s{_UNSEEN}])?$"
+
+
+def _whole(value: Any) -> Any:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+# JSON has one kind of number: 3.0 is a whole one.
+Whole = Annotated[int, BeforeValidator(_whole)]
+Text = Annotated[str, Field(pattern=TEXT)]
+
+
 class Open(BaseModel):
     """A document that may grow further fields."""
 
@@ -44,9 +61,9 @@ class Open(BaseModel):
 
 
 class Closed(BaseModel):
-    """A body in which an unknown field is a mistake worth telling."""
+    """A body in which an unknown field is a mistake worth telling, and so is a value of another type."""
 
-    model_config = ConfigDict(extra="forbid", str_strip_whitespace=False)
+    model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class ProblemEntry(Open):
@@ -79,6 +96,9 @@ class InfeasibleDetails(ProblemDetails):
     stations: list[str] | None = None
     fix: dict[str, Any] | None = Field(None, description="The smallest single remedy, as data.")
     fix_text: str | None = Field(None, description="The same in words.")
+    causes: list[dict[str, Any]] | None = Field(
+        None, description="Where several things stand in the way: all of them, in flight order, each with its own fix."
+    )
 
 
 class Health(Closed):

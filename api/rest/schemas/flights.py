@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from api.rest.schemas.base import Closed
+from api.rest.schemas.base import Closed, Text, Whole
 
 
 class NewFlight(Closed):
@@ -25,10 +25,10 @@ class NewFlight(Closed):
         },
     )
 
-    mission_id: str = Field(max_length=64)
+    mission_id: Text = Field(max_length=64)
     plan_sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="Of the plan that is meant: another is refused.")
-    vehicle_id: str = Field(max_length=64)
-    version: int | None = Field(None, ge=1, le=2**31 - 1, description="Of the mission; default the latest.")
+    vehicle_id: Text = Field(max_length=64)
+    version: Whole | None = Field(None, ge=1, le=2**31 - 1, description="Of the mission; default the latest.")
     rate_hz: float | None = Field(None, ge=5, le=100, description="Setpoints a second; default 20.")
     speedup: float | None = Field(None, ge=0.1, le=1000, description="Our simulator at this factor, on loopback alone.")
     operator_words: bool | None = Field(None, description="Each handover waits for the receiving station's `ready`.")
@@ -43,21 +43,26 @@ class NewFlight(Closed):
         description="How the vehicle is told of a handover; default `auto`: by what it offers. `parameter`: ArduPilot "
         "hears one station at a time and is told of each.",
     )
+    rescue: bool | None = Field(
+        None,
+        description="Take over an ArduPilot that is locked to other stations' ids, by its own id; default false. It "
+        "gets them back after the flight.",
+    )
 
 
 class LaunchCommand(Closed):
     """The launch command."""
 
     plan_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
-    preflight_id: int = Field(ge=0, le=2**31 - 1, description="`preflight.id` of the flight.")
-    by: str | None = Field(None, max_length=100, description="Who gives it, for the record.")
+    preflight_id: Whole = Field(ge=0, le=2**31 - 1, description="`preflight.id` of the flight.")
+    by: Text | None = Field(None, max_length=100, description="Who gives it, for the record.")
 
 
 class CommandBody(Closed):
     """Who gives an operator command, and why; both for the record."""
 
-    by: str | None = Field(None, max_length=100)
-    reason: str | None = Field(None, max_length=500)
+    by: Text | None = Field(None, max_length=100)
+    reason: Text | None = Field(None, max_length=500)
 
 
 class ReplanRequest(CommandBody):
@@ -103,7 +108,7 @@ class FlightSummary(Closed):
 
     id: str
     mission_id: str
-    version: int
+    version: Whole
     plan_sha256: str
     vehicle_id: str
     state: str

@@ -6,11 +6,11 @@ of clients.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from api.rest.schemas.base import Closed, Open
+from api.rest.schemas.base import ENTRY_ID, NAME, Closed, Open, Whole
 
 MISSION_EXAMPLE: dict[str, Any] = {
     "name": "Den Helder to Texel",
@@ -53,79 +53,160 @@ LOCAL_MISSION_EXAMPLE: dict[str, Any] = {
 }
 
 
+_Lat = Annotated[float, Field(ge=-90, le=90)]
+_Lon = Annotated[float, Field(ge=-180, le=180)]
+_Alt = Annotated[float, Field(ge=-1_000, le=50_000)]
+_Span = Annotated[float, Field(ge=-1_000_000, le=1_000_000)]
+_Name = Annotated[str, Field(min_length=1, max_length=200, pattern=NAME)]
+_Speed = Annotated[float, Field(gt=0, le=1_000)]
+_Id = Annotated[
+    str,
+    Field(
+        pattern=ENTRY_ID,
+        description="Letters, digits, blanks and . _ - : + # ( ) ' &, beginning with a letter or digit.",
+    ),
+]
+
+
 class Place(Closed):
-    """A position: latitude, longitude and altitude above mean sea level; or, with an origin, metres in its plane."""
+    """A position: latitude, longitude and altitude above mean sea level."""
 
-    lat_deg: float | None = Field(None, ge=-90, le=90)
-    lon_deg: float | None = Field(None, ge=-180, le=180)
-    alt_amsl_m: float | None = Field(None, description="Altitude above mean sea level, m.")
-    east_m: float | None = Field(None, description="With an origin only.")
-    north_m: float | None = Field(None, description="With an origin only.")
-    up_m: float | None = Field(None, description="Altitude above the origin's, m. With an origin only.")
+    lat_deg: _Lat
+    lon_deg: _Lon
+    alt_amsl_m: _Alt = Field(description="Altitude above mean sea level, m.")
 
 
-class StationBody(Place):
+class LocalPlace(Closed):
+    """A position in a mission with an origin: metres in its plane."""
+
+    east_m: _Span
+    north_m: _Span
+    up_m: _Alt = Field(description="Altitude above the origin's, m.")
+
+
+class _Crewed(Closed):
     """A ground station (remote pilot station): an antenna, the range of its C2 link, and the crew."""
 
-    id: str = Field(description="Letters, digits, blanks and . _ - : + # ( ) ' &, beginning with a letter or digit.")
-    range_m: float = Field(gt=0, description="Slant range of its C2 link to the vehicle, m.")
-    name: str | None = None
-    system_id: int | None = Field(None, ge=1, le=254, description="MAVLink id; given out when a plan uses the station.")
-    contact: str | None = None
-    radio_channel: str | None = None
-    hours: str | None = Field(None, description="When it is staffed, for people.")
-    min_elevation_deg: float | None = Field(None, description="Lowest elevation at which it hears the vehicle.")
+    id: _Id
+    range_m: float = Field(gt=0, le=500_000, description="Slant range of its C2 link to the vehicle, m.")
+    name: _Name | None = None
+    system_id: Whole | None = Field(
+        None, ge=1, le=254, description="MAVLink id; given out when a plan uses the station."
+    )
+    contact: _Name | None = None
+    radio_channel: _Name | None = None
+    hours: _Name | None = Field(None, description="When it is staffed, for people.")
+    min_elevation_deg: float | None = Field(
+        None, ge=0, le=85, description="Lowest elevation at which it hears the vehicle."
+    )
 
 
-class SafePointBody(Place):
+class StationBody(Place, _Crewed):
+    """A ground station by latitude and longitude."""
+
+
+class LocalStationBody(LocalPlace, _Crewed):
+    """A ground station on the plane of the mission's origin."""
+
+
+class _Named(Closed):
+    """What a safe point is called."""
+
+    id: _Id
+    name: _Name | None = None
+
+
+class SafePointBody(Place, _Named):
     """A place that contingency procedures lead to."""
 
-    id: str
-    name: str | None = None
+
+class LocalSafePointBody(LocalPlace, _Named):
+    """The same, on the plane of the mission's origin."""
+
+
+class WindBody(Closed):
+    """Where the air goes to."""
+
+    east_m_s: float = Field(ge=-200, le=200)
+    north_m_s: float = Field(ge=-200, le=200)
 
 
 class LimitsBody(Closed):
     """What the vehicle can and may do; absent means unlimited."""
 
-    min_alt_amsl_m: float
-    max_alt_amsl_m: float
-    max_speed_m_s: float = Field(gt=0)
-    max_accel_m_s2: float = Field(gt=0)
-    max_jerk_m_s3: float | None = None
-    max_climb_m_s: float | None = None
-    max_descent_m_s: float | None = None
-    max_airspeed_m_s: float | None = Field(None, description="Bounds the speed against the wind.")
-    wind: dict[str, float] | None = Field(None, description="{east_m_s, north_m_s}: where the air goes to.")
-    endurance_s: float | None = None
-    reserve_s: float | None = None
+    min_alt_amsl_m: _Alt
+    max_alt_amsl_m: _Alt
+    max_speed_m_s: _Speed
+    max_accel_m_s2: _Speed
+    max_jerk_m_s3: float | None = Field(None, gt=0, le=100_000)
+    max_climb_m_s: _Speed | None = None
+    max_descent_m_s: _Speed | None = None
+    max_airspeed_m_s: _Speed | None = Field(None, description="Bounds the speed against the wind.")
+    wind: WindBody | None = Field(None, description="Needs max_airspeed_m_s.")
+    endurance_s: float | None = Field(None, gt=0, le=1_000_000)
+    reserve_s: float | None = Field(None, ge=0, le=1_000_000, description="Needs endurance_s, and is less.")
 
 
-class OptionsBody(Open):
-    """How to plan. The defaults make plans that a real vehicle can fly."""
+_Vector = Annotated[
+    list[Annotated[float, Field(ge=-1_000, le=1_000)]],
+    Field(min_length=3, max_length=3, description="[east, north, up]"),
+]
 
-    min_overlap_s: float = Field(5.0, description="Around every handover both stations cover the vehicle so long.")
-    range_margin_m: float = Field(25.0, description="Taken off every range.")
-    min_tenure_s: float = Field(10.0, description="Least time a station is in control, where there are several.")
-    vehicle_system_id: int = Field(1, ge=1, le=255)
-    on_arrival: Literal["land", "hold"] = "land"
-    excluded_stations: list[str] = Field(default_factory=list)
-    max_handovers: int | None = None
-    objective: Literal["time", "energy"] | float = "time"
-    arrival_s: float | None = None
+
+class StartStateBody(Closed):
+    """The start in motion."""
+
+    velocity_m_s: _Vector | None = None
+    acceleration_m_s2: _Vector | None = None
+
+
+class OptionsBody(Closed):
+    """How to plan. The defaults make plans that a real vehicle can fly; null stands for the default."""
+
+    min_overlap_s: float | None = Field(
+        5.0, ge=0, le=3_600, description="Around every handover both stations cover the vehicle so long."
+    )
+    range_margin_m: float | None = Field(25.0, ge=0, le=500_000, description="Taken off every range.")
+    min_tenure_s: float | None = Field(
+        10.0, ge=0, le=86_400, description="Least time a station is in control, where there are several."
+    )
+    handover_tolerance: float | None = Field(
+        0.001,
+        ge=0,
+        le=1,
+        description="Part of the mission time, and at least 1 s, given up for fewer handovers. "
+        "0 asks for the fastest plan, and is the default where min_overlap_s is 0.",
+    )
+    overlap_target_s: Literal["auto"] | Annotated[float, Field(ge=0, le=3_600)] | None = Field(
+        "auto",
+        description="The overlap aimed at wherever it costs at most 0.1 % of the mission time, and at least 1 s, each; "
+        "auto: enough after a handover to notice a failed station and to stop, nothing where handover_tolerance is 0.",
+    )
+    vehicle_system_id: Whole | None = Field(1, ge=1, le=254)
+    on_arrival: Literal["land", "hold"] | None = "land"
+    excluded_stations: list[str] | None = Field(None, max_length=100_000, description="Ids of stations of the mission.")
+    max_handovers: Whole | None = Field(None, ge=0, le=100_000)
+    objective: Literal["time", "energy"] | Annotated[float, Field(ge=0, le=1)] | None = Field(
+        "time", description="A number is the weight of energy."
+    )
+    start_state: StartStateBody | None = None
+    arrival_s: float | None = Field(None, gt=0, le=1_000_000)
 
 
 class MissionBody(Closed):
     """A mission: start, destination, stations with ranges, limits."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [MISSION_EXAMPLE, LOCAL_MISSION_EXAMPLE]})
+    model_config = ConfigDict(
+        extra="forbid", strict=True, json_schema_extra={"examples": [MISSION_EXAMPLE, LOCAL_MISSION_EXAMPLE]}
+    )
 
-    start: Place
-    destination: Place
-    stations: list[StationBody]
+    start: Place | LocalPlace
+    destination: Place | LocalPlace
+    stations: list[StationBody | LocalStationBody] = Field(min_length=1)
     limits: LimitsBody
-    name: str | None = None
+    name: _Name | None = None
     origin: Place | None = Field(None, description="Given: all positions are metres in the plane of this place.")
-    safe_points: list[SafePointBody] | None = None
+    safe_points: list[SafePointBody | LocalSafePointBody] | None = Field(None, max_length=1_000)
     options: OptionsBody | None = None
 
 
@@ -150,6 +231,9 @@ class MissionProblem(Open):
     stations: list[str] | None = None
     fix: dict[str, Any] | None = None
     fix_text: str | None = None
+    causes: list[dict[str, Any]] = Field(
+        default_factory=list, description="Where several things stand in the way: all of them, in flight order."
+    )
 
 
 class MissionSummary(Closed):
@@ -248,3 +332,8 @@ class PlanBody(Open):
     handovers: list[dict[str, Any]]
     contingencies: list[dict[str, Any]]
     certificate: dict[str, Any] = Field(description="feasible, and the worst signed excess of every limit.")
+    fastest: dict[str, float] | None = Field(
+        None,
+        description="mission_time_s and handovers of the fastest plan found, where this one has fewer, and what "
+        "fewer cost; absent otherwise.",
+    )

@@ -84,7 +84,8 @@ def test_what_the_options_cost_is_told_and_kept(cli: Cli, tmp_path: Path) -> Non
                   stdin=body_of(GOOD))  # fmt: skip
     assert (outcome.code, outcome.err) == (0, "")
     costs = {cost["option"]: cost for cost in json.loads((tmp_path / "plan.json").read_bytes())["costs"]}
-    assert set(costs) == {"min_overlap_s", "range_margin_m", "min_tenure_s", "arrival_s", "together"}
+    asked = {"min_overlap_s", "range_margin_m", "min_tenure_s", "arrival_s", "handover_tolerance", "overlap_target_s"}
+    assert set(costs) == {*asked, "together"}
     assert costs["arrival_s"]["cost_s"] > 200.0
     (row,) = [line for line in outcome.out.splitlines() if line.split()[:1] == ["arrival_s"]]
     assert f"{costs['arrival_s']['cost_s']:+.1f} s" in row

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.processes.cli_process import Server
+from tests.support.processes.store_backends import Backend
 
 CHECKS = "not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance"
 
@@ -42,10 +43,16 @@ def hold_against_the_description(tmp_path: Path, phases: str, examples: int) -> 
 
 
 @pytest.mark.slow
-def test_no_request_the_description_allows_causes_a_fault(tmp_path: Path) -> None:
+def test_no_request_the_description_allows_causes_a_fault(
+    tmp_path: Path, backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SKYRELAY_DATABASE_URL", backend.url)
     hold_against_the_description(tmp_path, "examples,fuzzing", 10)
 
 
 @pytest.mark.soak
-def test_no_request_at_any_bound_of_the_description_causes_a_fault(tmp_path: Path) -> None:
+def test_no_request_at_any_bound_of_the_description_causes_a_fault(
+    tmp_path: Path, backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SKYRELAY_DATABASE_URL", backend.url)
     hold_against_the_description(tmp_path, "examples,coverage,fuzzing", 200)

@@ -103,6 +103,8 @@ def test_defaults_are_the_contracts() -> None:
         "on_arrival": "land",
         "excluded_stations": [],
         "max_handovers": None,
+        "handover_tolerance": 0.001,
+        "overlap_target_s": "auto",
         "objective": "time",
         "start_state": None,
         "arrival_s": None,

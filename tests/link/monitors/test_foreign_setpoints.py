@@ -10,9 +10,9 @@ import pytest
 
 from gcs.flight import FlightState
 from link.dialect import mavlink
-from link.director.launch import STREAMED_MESSAGES
 from link.monitors.uplink import FOREIGN_TARGET_M, GRACE_S, UplinkMonitor
 from link.telemetry.setpoint_echo import EchoTracker, Sent
+from link.telemetry.streams import STREAMED_MESSAGES
 
 ECHO_MS = round(1e3 / dict(STREAMED_MESSAGES)[mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED])
 SPEED_M_S = 15.0

@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from gcs.flight import FlightState
-from gcs.mission import read_mission
+from gcs.mission import parse_mission_json, read_mission
+from gcs.mission.model import ANSWERS_S, NOTICED_S
 from gcs.plan.model import Plan
 from gcs.planning.mission_planning import plan_mission
+from link.handover.handover_chain import TAKEOVER_SHARE
 from link.preflight.check import Level
-from link.preflight.route import judge_lowest, judge_stops
+from link.preflight.route import HANDED_OVER_S, judge_lowest, judge_stops
 from tests.support.flights.on_ground import checks, on_ground
 from tests.support.flights.virtual import VirtualFlight
+from tests.support.paths import MISSIONS
 from tests.support.plans.planned import relay_document, relay_plan
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
@@ -109,3 +112,15 @@ def test_a_failure_right_after_a_handover_without_room_takes_the_vehicle_as_far_
     flown = [t for t in one.truth if t.plan_s is not None]
     away = [float(plan.geometry.outside_m(old, plan.trajectory.evaluate(np.array([t.plan_s])))[0]) for t in flown]
     assert max(away) == pytest.approx(told_m, abs=6.0)
+
+
+@pytest.mark.parametrize("loss_timeout_s", [1.0, 3.0])
+def test_the_demos_own_plan_can_stop_everywhere(loss_timeout_s: float) -> None:
+    """With PX4's time-out by default (COM_OF_LOSS_T 1 s) and with ArduPilot's (GUID_TIMEOUT 3 s)."""
+    plan = plan_mission(parse_mission_json((MISSIONS / "wadden_relay.json").read_bytes()))
+    assert [check.level for check in judge_stops(plan, loss_timeout_s)] == [Level.PASS]
+
+
+def test_the_planner_aims_at_what_preflight_asks() -> None:
+    assert ANSWERS_S == HANDED_OVER_S
+    assert pytest.approx(TAKEOVER_SHARE * 3.0) == NOTICED_S

@@ -18,6 +18,7 @@ import numpy as np
 from gcs.flight import EventKind, FlightEvent, FlightState
 from gcs.plan.model import Plan
 from link.director.core import FlightCore
+from link.session.changes import ChangeJournal
 from link.session.request import FlightRequest
 from link.wire.codec import StationCodec
 from sitl_fixtures.vehicle import SimulatedAutopilot, SimulatorConfig
@@ -127,6 +128,7 @@ class VirtualFlight:
         frugal: bool = False,
         ways: int = 1,
         reserve: tuple[str, ...] = (),
+        journal: ChangeJournal | None = None,
     ) -> None:
         self.plan = plan
         stations = list(dict.fromkeys([*plan.station_ids, *reserve]))
@@ -141,7 +143,7 @@ class VirtualFlight:
             links={s: [self._urls[link] for link in self.links if link.split("/")[0] == s] for s in stations},
             **(request or {}),  # type: ignore[arg-type]
         )
-        self.core = FlightCore(self.request, epoch_unix_s=EPOCH_UNIX_S)
+        self.core = FlightCore(self.request, epoch_unix_s=EPOCH_UNIX_S, journal=journal)
         self.sent: list[tuple[float, str, str | None, bytes]] = []
         """Every frame the core let out: when, from which station, who was in control, the frame."""
         settings = {"home": plan_home(plan), "links": len(self.links), **(config or {})}
@@ -183,6 +185,19 @@ class VirtualFlight:
         end_s = self.now_s + duration_s
         while self.now_s < end_s:
             self.step()
+
+    def next_flight(self, journal: ChangeJournal | None, plan: Plan | None = None, **request: object) -> None:
+        """The flight so far is dead, killed at this moment; another begins on the same vehicle and links."""
+        plan = plan or self.plan
+        links = dict(zip(dict.fromkeys(plan.station_ids), self.request.links.values(), strict=True))
+        autopilot = self.request.autopilot
+        given = {"auto_launch": False, **request}
+        self.plan = plan
+        document = {"plan": plan.to_document(), "autopilot": autopilot, "links": links}
+        self.request = FlightRequest.from_document({**document, **given})
+        self.core = FlightCore(self.request, now_s=self.now_s, epoch_unix_s=EPOCH_UNIX_S, journal=journal)
+        self.core.start(self.now_s)
+        self._core_s, self._queue, self.events = self.now_s, [], []
 
     def step(self) -> None:
         """On to the next thing that happens."""

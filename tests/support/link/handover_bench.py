@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -10,6 +11,7 @@ from link.dialect import mavlink
 from link.director.core import FlightCore
 from link.handover.handover import handover_windows
 from link.session.request import FlightRequest
+from link.telemetry.plausibility import Position
 from link.wire.codec import StationCodec
 from tests.support.plans.planned import relay_plan
 
@@ -38,6 +40,8 @@ class Bench:
         for state in ("identifying", "preflight", "ready", "arming", "takeoff", "transit", "cruise"):
             self.c.timeline.become(FlightState(state))
         self.c.control.grant("s1", "first")
+        # Where the vehicle is is known throughout.
+        self.c.vehicle.monitor.places.position = Position(0.0, math.inf, 52.95, 4.79, 40.0, (0.0, 0.0, 0.0))
         self.up = dict.fromkeys(STATIONS, True)
         self.obeys = set(STATIONS)
         self.decoder = StationCodec(99)

@@ -113,6 +113,8 @@ MALFORMED: list[tuple[str, Document | bytes | Any, str]] = [
     ("start state with text", _with("options.start_state", {"velocity_m_s": [1, "2", 3]}), "velocity_m_s.north"),
     ("reserve above endurance", _with("limits.reserve_s", 90.0, _with("limits.endurance_s", 80.0)), "limits.reserve_s"),
     ("objective true", _with("options.objective", True), "options.objective"),
+    ("negative tolerance", _with("options.handover_tolerance", -0.001), "options.handover_tolerance"),
+    ("tolerance in per cent", _with("options.handover_tolerance", 5), "options.handover_tolerance"),
     ("half a handover", _with("options.max_handovers", 1.5), "options.max_handovers"),
     ("arrival by the clock", _with("options.arrival_s", "10:00"), "options.arrival_s"),
     # not finite
