@@ -37,6 +37,7 @@ def create_app(settings: Settings) -> FastAPI:
         strict_content_type=False,  # `bodies` judges it, for every route alike
     )
     routers = [module.router for module in (missions, plans, registries, flights, health, page)]
+    page.mount(app)
     for router in routers:
         app.include_router(router)
     problems.install(app, [route for router in routers for route in router.routes])

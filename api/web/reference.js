@@ -1,6 +1,6 @@
 // The OpenAPI document as a page to read.
 
-import { ask, make, showProblem } from "./format.js";
+import { ask, make, showProblem } from "./parts/format.js";
 
 const METHODS = ["get", "post", "put", "patch", "delete"];
 

@@ -1,60 +1,77 @@
-"""The first page: static files of this package, no build step, nothing from elsewhere."""
+"""The page: static files of this package, no build step, nothing from elsewhere.
+
+``/assets`` serves ``api/web`` by Starlette's `StaticFiles` (entity tags, no path out of the folder), compressed where
+the browser takes that: the page's third-party parts are large.
+"""
 
 from __future__ import annotations
 
-from importlib import resources
+import mimetypes
+from pathlib import Path
 from typing import Final
 
-from fastapi import APIRouter
-from starlette.responses import Response
-
-from api.rest.problems import NotFoundError
+from fastapi import APIRouter, FastAPI
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.responses import FileResponse, Response
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 router = APIRouter(include_in_schema=False)
 
-_TYPES: Final = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml",
-}
+_FOLDER: Final = Path(__file__).parents[2] / "web"
 _HEADERS: Final = {
-    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; "
-    "base-uri 'none'; form-action 'self'",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'; "
+    "form-action 'self'; object-src 'none'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-cache",
 }
 
 
-def _file(name: str) -> Response:
-    suffix = name[name.rfind(".") :]
-    # Names are compared with what the package holds, so that no path can lead out of it.
-    held = {entry.name: entry for entry in resources.files("api").joinpath("web").iterdir()}
-    if suffix not in _TYPES or name not in held:
-        raise NotFoundError(f"the page has no file {name}")
-    return Response(held[name].read_bytes(), media_type=_TYPES[suffix], headers=_HEADERS)
+class _WithHeaders:
+    """Adds the page's headers to every answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one connection."""
+
+        async def headed(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                added = [(name.lower().encode(), value.encode()) for name, value in _HEADERS.items()]
+                message["headers"] = [*message["headers"], *added]
+            await send(message)
+
+        await self.app(scope, receive, headed)
+
+
+for suffix in (".js", ".mjs"):  # the machine's own table may say otherwise, and browsers refuse modules then
+    mimetypes.add_type("text/javascript", suffix)
+
+
+def mount(app: FastAPI) -> None:
+    """Serve the page's files below ``/assets``."""
+    app.mount("/assets", _WithHeaders(GZipMiddleware(StaticFiles(directory=_FOLDER), minimum_size=1000)), name="assets")
+
+
+def _page(name: str) -> Response:
+    return FileResponse(_FOLDER / name, headers=_HEADERS)
 
 
 @router.get("/")
 def index() -> Response:
     """The page."""
-    return _file("index.html")
+    return _page("index.html")
 
 
 @router.get("/docs")
 def reference() -> Response:
     """The API reference, drawn from the OpenAPI document."""
-    return _file("reference.html")
+    return _page("reference.html")
 
 
 @router.get("/favicon.ico")
 def icon() -> Response:
     """What browsers ask for by themselves."""
-    return _file("icon.svg")
-
-
-@router.get("/assets/{name}")
-def asset(name: str) -> Response:
-    """A style sheet, script or image of the page."""
-    return _file(name)
+    return _page("icon.svg")

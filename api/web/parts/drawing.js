@@ -1,34 +1,11 @@
 // The route and the stations in control, drawn from a plan document; no map tiles, no internet.
 
 import { clock, makeSvg, metres } from "./format.js";
+import { bezier, legsOf, onPlane } from "./geometry.js";
 
 const COLOURS = ["#2b6cb0", "#b7791f", "#2f855a", "#9b2c6f", "#5a50b5", "#b04a2b", "#2a7f8a", "#7b6b1d"];
 
 export const colourOf = (index) => COLOURS[index % COLOURS.length];
-
-/** A point of a mission in the plan's plane: exact for local missions, good enough to draw for the others. */
-function onPlane(plan, point) {
-  if (point.east_m !== undefined) return [point.east_m, point.north_m];
-  const latitude = (plan.origin.lat_deg * Math.PI) / 180;
-  const north = ((point.lat_deg - plan.origin.lat_deg) * Math.PI) / 180 * 6371008.8;
-  const midway = latitude + north / 6371008.8 / 2;
-  const east = ((((point.lon_deg - plan.origin.lon_deg + 540) % 360) - 180) * Math.PI) / 180 * 6371008.8 * Math.cos(midway);
-  return [east, north];
-}
-
-/** Points along one Bézier segment, by de Casteljau's construction. */
-function pointsOf(control, count = 12) {
-  const found = [];
-  for (let k = 0; k <= count; k += 1) {
-    const u = k / count;
-    let points = control.map((p) => [p[0], p[1]]);
-    while (points.length > 1) {
-      points = points.slice(1).map((p, i) => [points[i][0] * (1 - u) + p[0] * u, points[i][1] * (1 - u) + p[1] * u]);
-    }
-    found.push(points[0]);
-  }
-  return found;
-}
 
 export function drawMap(svg, caption, plan) {
   const flown = plan.stations;
@@ -62,7 +39,7 @@ export function drawMap(svg, caption, plan) {
   }
   const route = makeSvg("g", { fill: "none", "stroke-width": 3.5 * unit, "stroke-linecap": "round", "stroke-linejoin": "round" });
   for (const segment of plan.segments) {
-    const points = pointsOf(segment.control_points).map((p) => `${p[0].toFixed(1)},${(-p[1]).toFixed(1)}`);
+    const points = Array.from({ length: 13 }, (_, k) => bezier(segment.control_points, k / 12)).map((p) => `${p[0].toFixed(1)},${(-p[1]).toFixed(1)}`);
     route.append(makeSvg("polyline", { points: points.join(" "), stroke: colourOf(flown.indexOf(segment.station)) }));
   }
   svg.append(rings, route, labels, makeSvg("g", { id: "vehicle" }));
@@ -88,12 +65,7 @@ export function drawBars(svg, plan) {
   const width = 900;
   const total = plan.mission_time_s;
   const x = (t) => left + (Math.min(Math.max(t, 0), total) / total) * (width - left - 20);
-  const legs = [];
-  for (const segment of plan.segments) {
-    const last = legs[legs.length - 1];
-    if (last && last.station === segment.station) last.end += segment.duration_s;
-    else legs.push({ station: segment.station, start: segment.start_s, end: segment.start_s + segment.duration_s });
-  }
+  const legs = legsOf(plan);
   const height = legs.length * row + 26;
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.replaceChildren();
