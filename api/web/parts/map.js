@@ -38,7 +38,7 @@ function style(colours) {
   const line = (id, paint, more = {}) => ({ id, type: "line", source: id, paint, layout: { "line-cap": "round", "line-join": "round" }, ...more });
   return {
     version: 8,
-    sources: Object.fromEntries(["land", "coast", "ranges", "keepouts", "gap", "route", "trail", "ghost", "vehicle", "stations", "handovers"].map((id) => [id, { ...source }])),
+    sources: Object.fromEntries(["land", "coast", "ranges", "keepouts", "gap", "proposal", "route", "trail", "ghost", "vehicle", "stations", "handovers"].map((id) => [id, { ...source }])),
     layers: [
       { id: "water", type: "background", paint: { "background-color": colours.water } },
       { id: "land", type: "fill", source: "land", paint: { "fill-color": colours.land, "fill-outline-color": colours.coast } },
@@ -49,6 +49,7 @@ function style(colours) {
       line("gap", { "line-color": "#c22f2f", "line-width": 4, "line-dasharray": [1, 2] }),
       line("route-casing", { "line-color": colours.land, "line-width": 6 }, { source: "route" }),
       line("route", { "line-color": ["get", "colour"], "line-width": 3.5 }),
+      line("proposal", { "line-color": colours.ink, "line-width": 3, "line-dasharray": [2, 2] }),
       line("trail", { "line-color": colours.ink, "line-width": 2 }),
       { id: "stations", type: "circle", source: "stations", paint: { "circle-radius": 5, "circle-color": ["get", "colour"], "circle-stroke-color": colours.land, "circle-stroke-width": 1.5 } },
       { id: "handovers", type: "circle", source: "handovers", paint: { "circle-radius": 4, "circle-color": colours.land, "circle-stroke-color": colours.ink, "circle-stroke-width": 2 } },
@@ -150,6 +151,12 @@ export class MissionMap {
     }
     this.set("route", collection(routes.map((r) => featureOf({ type: "LineString", coordinates: r.line }, { colour: colourOf(plan.stations.indexOf(r.station)) }))));
     this.set("handovers", collection(plan.handovers.map((h) => featureOf({ type: "Point", coordinates: [h.position.lon_deg, h.position.lat_deg] }, { index: h.index }))));
+  }
+
+  /** A plan beside the one drawn, dashed (null: none). */
+  propose(plan) {
+    const line = plan && sample(plan, 600).map((s) => onGlobe(plan, s.at[0], s.at[1]));
+    this.set("proposal", plan ? collection([featureOf({ type: "LineString", coordinates: line })]) : EMPTY);
   }
 
   /** The planned place at a time of the plan (null: nowhere). */
