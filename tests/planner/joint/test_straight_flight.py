@@ -38,7 +38,7 @@ def _drawn(seed: int) -> Problem:
 def test_keeps_every_limit(seed: int) -> None:
     problem = _drawn(seed)
     trajectory = straight_flight(problem, 0)
-    # Where climbing bounds the speed the formula is not the fastest, and none is given (`test_options` has such a plan).
+    # Where climbing bounds the speed the formula is not the fastest, and none is given (`test_options` has one).
     way = problem.destination_m - problem.start_m
     steep = float(way[2] / np.linalg.norm(way))
     unbound = straight_flight(replace(problem, limits=replace(problem.limits, max_climb_m_s=None)), 0)
