@@ -378,7 +378,12 @@ class Launch:
             raise Refused(f"no word to launch in {limit_s:g} s")
         if not self.commanded and self.renewed:
             return "it is made again, as asked"
-        if self.commanded and (self.preflight_age_s or 0.0) >= PREFLIGHT_VALID_S:
+        if not self.commanded:
+            # Whatever woke this never launches: it refuses the flight, or where it is over the preflight is made again.
+            told = self._one.hindrance() or "something spoke against the launch"
+            yield from self._one.look_again(self.restore)
+            return self.evidence.void() or f"{told}, for a moment"
+        if (self.preflight_age_s or 0.0) >= PREFLIGHT_VALID_S:
             yield from self._preflight()
         yield from self._one.look_again(self.restore)
         return self.evidence.void()

@@ -13,6 +13,7 @@ from link.dialect import mavlink
 from link.transport.port_lock import VehicleLock
 from link.wire.codec import StationCodec
 from tests.scorecard.soak import counted
+from tests.support.flights import tampered
 from tests.support.flights.shared_sky import SharedSky
 from tests.support.flights.virtual import Proxy
 from tests.support.plans.planned import relay_plan
@@ -134,6 +135,28 @@ def test_state_is_looked_at_again_at_launch(autopilot: str) -> None:
     sky.run(lambda: second.over, limit_s=10.0)
     assert second.state is FlightState.REFUSED, second.reasons
     assert sky.armed_by[0] == {0}
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("told", ["armed", "in the air", "another station in control"])
+def test_what_speaks_against_a_launch_for_a_moment_never_launches(autopilot: str, told: str) -> None:
+    """It woke the waiting for the command, was over by the second look, and the flight went off without a command."""
+    one = tampered.ready(autopilot)
+    flags = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    kind = mavlink.MAV_TYPE_QUADROTOR
+    words = {
+        "armed": mavlink.MAVLink_heartbeat_message(kind, one.core.context.vehicle.profile.autopilot_id, flags, 0, 3, 3),
+        "in the air": mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR),
+        "another station in control": mavlink.MAVLink_control_status_message(0, 201, [0] * 10),
+    }
+    one.say(words[told])
+    one.run_for(40.0)
+    assert not one.said("state", to="arming")
+    assert not one.vehicle.autopilot.armed
+    if one.core.state is not FlightState.REFUSED:
+        # Over by the second look: the preflight was made again, and the flight waits as before.
+        assert one.alarms("the preflight is void")
+        assert one.core.state is FlightState.READY
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
