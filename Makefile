@@ -8,7 +8,7 @@ WEB := api/web/vendor/land-10m/cells.json
 # pytest-xdist workers
 JOBS ?= 2
 
-.PHONY: setup run test check quick soak format lock clean postgresql
+.PHONY: setup run test check quick soak format lock clean postgresql chromium pictures
 
 setup: $(STAMP) $(DIALECT) $(WEB)
 
@@ -39,14 +39,22 @@ check: setup
 quick: setup
 	$(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "not slow and not soak"
 
-test: check postgresql
+test: check postgresql chromium
 	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "not soak"
 
 # What the store's tests on PostgreSQL need: installed where it may be, said in one line where not.
 postgresql: setup
 	@$(BIN)/python -m tests.support.processes.postgresql
 
-soak: setup postgresql
+# What the page's tests need: installed where it may be, said in one line where not.
+chromium: setup
+	@$(BIN)/python -m tests.support.processes.browser
+
+# Screenshots of every view, into docs/pictures.
+pictures: setup chromium
+	$(BIN)/python -m tests.support.processes.pictures
+
+soak: setup postgresql chromium
 	$(BIN)/pytest -m soak --timeout 0
 
 format: setup

@@ -114,7 +114,7 @@ export class MissionMap {
   }
 
   /** Draw a mission's stations and ends; `used` are the stations flown, in order. */
-  drawMission(mission, used = mission.stations.map((s) => s.id)) {
+  drawMission(mission, used = mission.stations.map((s) => s.id), { fit = true } = {}) {
     this.clear();
     const colour = (id) => (used.includes(id) ? colourOf(used.indexOf(id)) : PALETTE[dark.matches ? "dark" : "light"].soft);
     const place = (p) => [p.lon_deg, p.lat_deg];
@@ -130,7 +130,7 @@ export class MissionMap {
     this.label(place(mission.destination), "destination", "end");
     const points = [place(mission.start), place(mission.destination), ...mission.stations.filter((s) => used.includes(s.id))
       .flatMap((s) => circle(s.lon_deg, s.lat_deg, s.range_m, 8))];
-    this.fit(points);
+    if (fit) this.fit(points);
   }
 
   fit(points) {
@@ -139,9 +139,9 @@ export class MissionMap {
   }
 
   /** Draw a plan: mission, route coloured by the station in control, handovers. */
-  drawPlan(plan) {
+  drawPlan(plan, { fit = true } = {}) {
     this.plan = plan;
-    this.drawMission(plan.mission, plan.stations);
+    this.drawMission(plan.mission, plan.stations, { fit });
     const routes = [];
     for (const point of sample(plan, 800)) {
       const lonLat = onGlobe(plan, point.at[0], point.at[1]);
@@ -151,6 +151,30 @@ export class MissionMap {
     }
     this.set("route", collection(routes.map((r) => featureOf({ type: "LineString", coordinates: r.line }, { colour: colourOf(plan.stations.indexOf(r.station)) }))));
     this.set("handovers", collection(plan.handovers.map((h) => featureOf({ type: "Point", coordinates: [h.position.lon_deg, h.position.lat_deg] }, { index: h.index }))));
+  }
+
+  /** A handle that can be dragged, and moved by the arrow keys; `moved` is told where it was put. */
+  handle(lonLat, text, kind, moved) {
+    const element = make("button", { type: "button", class: `handle ${kind}`, "aria-label": `${text}: drag, or move with the arrow keys`, title: text });
+    const marker = new this.gl.Marker({ element, draggable: true }).setLngLat(lonLat).addTo(this.map);
+    marker.on("dragend", () => moved(marker.getLngLat()));
+    const steps = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
+    element.addEventListener("keydown", (event) => {
+      const step = steps[event.key];
+      if (!step) return;
+      event.preventDefault();
+      event.stopPropagation();
+      const at = this.map.project(marker.getLngLat());
+      const size = event.shiftKey ? 20 : 4;
+      moved(this.map.unproject([at.x + size * step[0], at.y + size * step[1]]));
+    });
+    return marker;
+  }
+
+  /** Where coverage has a gap: a place and its size (null: none). */
+  gap(trouble) {
+    const ring = trouble && circle(trouble.place.lon_deg, trouble.place.lat_deg, Math.max(trouble.gap_m ?? 0, 500) / 2);
+    this.set("gap", trouble ? collection([featureOf({ type: "LineString", coordinates: ring })]) : EMPTY);
   }
 
   /** A plan beside the one drawn, dashed (null: none). */
