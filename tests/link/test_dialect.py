@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import common
+from pymavlink.dialects.v20 import ardupilotmega, common
 
 from link.dialect import mavlink, regenerate
 from tests.support.paths import ROOT
@@ -106,11 +106,11 @@ def test_every_message_of_common_is_there_unchanged() -> None:
     for message_id, kind in common.mavlink_map.items():
         ours = mavlink.mavlink_map[message_id]
         assert (ours.msgname, ours.crc_extra, ours.fieldnames) == (kind.msgname, kind.crc_extra, kind.fieldnames)
-    assert set(mavlink.mavlink_map) - set(common.mavlink_map) == {512}
+    assert set(mavlink.mavlink_map) - set(common.mavlink_map) == {193, 512}
 
 
 def test_what_a_flight_needs_is_there() -> None:
-    """ArduPilot and PX4 messages a flight uses; nothing of ardupilotmega.xml is among them."""
+    """ArduPilot and PX4 messages a flight uses; of ardupilotmega.xml only 193 is among them, as it is there."""
     wanted = (
         0,
         1,
@@ -138,11 +138,14 @@ def test_what_a_flight_needs_is_there() -> None:
         111,
         147,
         148,
+        193,
         242,
         245,
         253,
     )
     assert [i for i in wanted if i not in mavlink.mavlink_map] == []
+    ours, theirs = mavlink.MAVLink_ekf_status_report_message, ardupilotmega.MAVLink_ekf_status_report_message
+    assert (ours.crc_extra, ours.fieldnames, ours.fieldtypes) == (theirs.crc_extra, theirs.fieldnames, theirs.fieldtypes)
 
 
 def test_speaks_mavlink_2_whatever_the_environment_says() -> None:

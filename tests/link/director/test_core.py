@@ -165,7 +165,8 @@ def test_a_vehicle_locked_to_others_is_refused_or_taken_and_given_back_as_it_was
     locked = ("MAV_GCS_SYSID=200", "MAV_OPTIONS=1")
     reason = refusal(flight("ardupilot", config={"parameters": locked}))
     assert "answers no command" in reason
-    assert "allow the rescue" in reason
+    assert "unlock it with skyrelay vehicle restore --link" in reason
+    assert "--rescue" in reason
     one = flight("ardupilot", config={"parameters": locked}, request={"rescue": True})
     assert one.run(limit_s=400.0) is FlightState.COMPLETED
     assert one.said("alarm", what="rescue")

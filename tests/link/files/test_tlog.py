@@ -88,9 +88,7 @@ def test_signed_frames_and_mavlink_1_and_unknown_messages(tmp_path: Path) -> Non
     signing = Signing(SigningKey(bytes(range(1, 33))), 1, SigningStore.in_memory())
     signed = StationCodec(241, signing=signing).encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
     old = mavlink.MAVLink_heartbeat_message(2, 3, 0, 5, 4, 3).pack(mavlink.MAVLink(None, 1, 1), force_mavlink1=True)
-    other = ardupilotmega.MAVLink_ekf_status_report_message(831, 0.1, 0.1, 0.1, 0.1, 0.1).pack(
-        ardupilotmega.MAVLink(None, 1, 1)
-    )
+    other = ardupilotmega.MAVLink_wind_message(90.0, 5.0, 0.1).pack(ardupilotmega.MAVLink(None, 1, 1))
     path = tmp_path / "flight.tlog"
     with TlogWriter(path) as log:
         for i, frame in enumerate((signed, old, other, attitude(9))):

@@ -176,9 +176,9 @@ def test_a_mavlink_1_payload_longer_than_its_message_is_no_frame() -> None:
 
 
 def test_unknown_messages_are_dropped_and_counted() -> None:
-    """Stock hands them on unchecked as UNKNOWN_n. Here another dialect's message (ardupilotmega 193)."""
+    """Stock hands them on unchecked as UNKNOWN_n. Here another dialect's message (ardupilotmega's WIND, 168)."""
     other = ardupilotmega.MAVLink(None, srcSystem=1, srcComponent=1)
-    unknown = ardupilotmega.MAVLink_ekf_status_report_message(831, 0.1, 0.1, 0.1, 0.1, 0.1).pack(other)
+    unknown = ardupilotmega.MAVLink_wind_message(90.0, 5.0, 0.1).pack(other)
     frames = vehicle_frames(2)
     codec = station()
     assert numbers(codec.decode(frames[0] + unknown + frames[1])) == [0, 1]

@@ -40,14 +40,13 @@ class Bench:
         for state in ("identifying", "preflight", "ready", "arming", "takeoff", "transit", "cruise"):
             self.c.timeline.become(FlightState(state))
         self.c.control.grant("s1", "first")
-        # Where the vehicle is is known throughout.
-        self.c.vehicle.monitor.places.position = Position(0.0, math.inf, 52.95, 4.79, 40.0, (0.0, 0.0, 0.0))
         self.up = dict.fromkeys(STATIONS, True)
         self.obeys = set(STATIONS)
         self.decoder = StationCodec(99)
         self.senders: list[str] = []
         """Station of every setpoint of the last tick."""
         self.plan_s = 0.0
+        self.be_at(0.0)
         self.hear()
 
     def hear(self) -> None:
@@ -57,11 +56,20 @@ class Bench:
                 link = self.c.vehicle.monitor.links[station]
                 link.active.heard_s = link.active.proven_s = self.c.timeline.now_s
 
+    def be_at(self, plan_s: float) -> None:
+        """The vehicle is where the plan has it, and that is known throughout."""
+        plane = self.c.plan.plane
+        east_m, north_m, up_m = (float(x) for x in self.c.plan.trajectory.evaluate(plan_s))
+        lat, lon = plane.to_geodetic(east_m, north_m)
+        place = Position(0.0, math.inf, float(lat), float(lon), plane.alt_amsl_m + up_m, (0.0, 0.0, 0.0))
+        self.c.vehicle.monitor.places.position = place
+
     def tick(self, to_s: float | None = None, *, backwards: bool = False) -> None:
         self.c.timeline.now_s += TICK_S
         self.hear()
         if to_s is not None:
             self.plan_s = to_s
+            self.be_at(to_s)
         self.chain.step(self.plan_s, backwards=backwards)
         self.c.control.send_setpoint(self.core.airborne.guidance.stream.at(self.plan_s))
         self.c.control.commander.step(self.c.timeline.now_s)
