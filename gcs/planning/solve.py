@@ -33,8 +33,9 @@ def solve(laid: PlanningProblem, planner: ProblemPlanner) -> Solution:
     except SolverError as error:
         raise PlanningFailed(f"every planning method gave up: {error}") from error
     allowed, arrival = mission.limits.allowed_s, mission.options.arrival_s
-    if solution.trajectory.duration_s > min(t for t in (allowed, arrival, math.inf) if t is not None):
-        # No time to give up for fewer handovers.
+    late = solution.trajectory.duration_s > min(t for t in (allowed, arrival, math.inf) if t is not None)
+    if late and (solution.fastest_s is not None or solution.overlap_cost_s > 0.0):
+        # No time to give up for fewer handovers or wider overlaps.
         solution = planner.plan(in_a_hurry(laid.problem))
     duration = solution.trajectory.duration_s
     if allowed is not None and duration > allowed:

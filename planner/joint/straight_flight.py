@@ -44,7 +44,8 @@ class _Ramp:
 def straight_flight(problem: Problem, station: int) -> Trajectory | None:
     """From rest to rest along the line from start to destination, under ``station``; certified by the caller.
 
-    None where the flight does not start at rest, or does not move, or the wind leaves no way to, or differs by place.
+    None where the flight does not start at rest, or does not move, or the wind leaves no way to, or differs by place;
+    and where the climb or descent limit bounds the speed: then climbing evenly wastes the ramps, and others are faster.
     """
     way = problem.destination_m - problem.start_m
     length = float(np.linalg.norm(way))
@@ -52,7 +53,8 @@ def straight_flight(problem: Problem, station: int) -> Trajectory | None:
         return None
     heading = way / length
     top = _top_speed_m_s(problem.limits, heading)
-    if top <= 0.0:
+    vertical = problem.limits.max_climb_m_s if heading[2] > 0.0 else problem.limits.max_descent_m_s
+    if top <= 0.0 or (vertical is not None and top * abs(float(heading[2])) > vertical):
         return None
     accel = problem.limits.max_accel_m_s2
     finest_s = least_piece_s(problem.limits, np.stack([problem.start_m, problem.destination_m]))
@@ -71,12 +73,8 @@ def straight_flight(problem: Problem, station: int) -> Trajectory | None:
 
 
 def _top_speed_m_s(limits: Limits, heading: Array) -> float:
-    """Largest speed along ``heading`` that every limit of speed allows."""
+    """Largest speed along ``heading`` that the limits of speed and airspeed allow."""
     top = limits.max_speed_m_s
-    if limits.max_climb_m_s is not None and heading[2] > 0.0:
-        top = min(top, limits.max_climb_m_s / float(heading[2]))
-    if limits.max_descent_m_s is not None and heading[2] < 0.0:
-        top = min(top, limits.max_descent_m_s / -float(heading[2]))
     if limits.max_airspeed_m_s is not None:
         # |s heading - wind| = airspeed for the larger s.
         wind = np.array([*limits.wind_m_s, 0.0])

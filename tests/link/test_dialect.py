@@ -145,7 +145,11 @@ def test_what_a_flight_needs_is_there() -> None:
     )
     assert [i for i in wanted if i not in mavlink.mavlink_map] == []
     ours, theirs = mavlink.MAVLink_ekf_status_report_message, ardupilotmega.MAVLink_ekf_status_report_message
-    assert (ours.crc_extra, ours.fieldnames, ours.fieldtypes) == (theirs.crc_extra, theirs.fieldnames, theirs.fieldtypes)
+    assert (ours.crc_extra, ours.fieldnames, ours.fieldtypes) == (
+        theirs.crc_extra,
+        theirs.fieldnames,
+        theirs.fieldtypes,
+    )
 
 
 def test_speaks_mavlink_2_whatever_the_environment_says() -> None:

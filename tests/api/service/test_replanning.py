@@ -60,7 +60,8 @@ class Pool:
 def service(run_dir: Path, running: Running) -> Replanning:
     """One that has just started and found the flight."""
     store = SimpleNamespace(flights=SimpleNamespace(get=lambda _: SimpleNamespace(document={"run_dir": str(run_dir)})))
-    flights = FlightService(None, store, None)  # type: ignore[arg-type]
+    settings = SimpleNamespace(data_dir=run_dir / "data")
+    flights = FlightService(settings, store, None)  # type: ignore[arg-type]
     flights._watched["f"] = SimpleNamespace(flight=running)  # type: ignore[assignment]
     return Replanning(flights, Pool())  # type: ignore[arg-type]
 

@@ -449,13 +449,13 @@ def test_the_core_is_told_when_the_last_one_leaves_and_when_one_is_back(bench: B
 
     def come_and_go() -> None:
         lines = Lines(first)
-        first.sendall(b'{"id": 1, "status": true}\n')
+        first.sendall(b'{"attach": 0}\n{"id": 1, "status": true}\n')
         lines.next()
         first.close()
         lines._stream.close()
         wait_for(lambda: bool(bench.core.attended))
         second = bench.client()
-        second.sendall(b'{"id": 2, "status": true}\n')
+        second.sendall(b'{"attach": 0}\n{"id": 2, "status": true}\n')
         Lines(second).next()
         wait_for(lambda: len(bench.core.attended) > 1)
         bench.core.state, bench.core.last = FlightState.CONTINGENCY, 0
