@@ -27,6 +27,8 @@ MOVES_M_S = 2.0
 """Over the ground faster than this a vehicle flies, or falls."""
 FALLS_M_S = 4.0
 STILL_S = 3.0
+LANDED_S = 0.8
+"""A landed state is a witness when it was told again so much later, and nothing else in between."""
 RESTARTED_S = 30.0
 
 
@@ -103,7 +105,7 @@ class Vehicle:
             return "it falls"
         if position is not None and math.hypot(*position.velocity_ned_m_s[:2]) > MOVES_M_S:
             return ""
-        if self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND and monitor.landed_s > time_s:
+        if self.on_ground and monitor.landed_s > time_s and monitor.landed_s - monitor.landed_since_s >= LANDED_S:
             return "it says that it has landed"
         if self.landed_state == 0 and position is not None and self.now_s - monitor.places.still_since_s >= STILL_S:
             return "it stands still"

@@ -48,6 +48,25 @@ def test_a_heartbeat_without_the_armed_bit_ends_nothing(autopilot: str) -> None:
 
 
 @BOTH
+@pytest.mark.parametrize("after", ["landing", "lapsed"])
+def test_two_witnesses_of_one_frame_each_end_nothing_in_the_air(autopilot: str, after: str) -> None:
+    """Landed told once and the armed bit missing once, of a vehicle that hardly moves, forty metres up."""
+    one = in_the_air(autopilot)
+    if after == "landing":
+        one.core.command("land")
+    else:
+        one.core.airborne._lose_link("a test", pin=True)
+    one.run_for(4.0)
+    for _ in range(8):
+        for _ in range(3):
+            one.say(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_ON_GROUND))
+        one.say(own_beat(one, armed=False))
+        one.run_for(0.55)
+    assert not one.core.state.ended
+    assert one.vehicle.autopilot.armed
+
+
+@BOTH
 def test_heartbeats_that_never_show_the_armed_bit_end_nothing_while_it_flies(autopilot: str) -> None:
     one = in_the_air(autopilot)
     one.tamper = altered("HEARTBEAT", base_mode=own_beat(one, armed=False).base_mode)  # type: ignore[attr-defined]
