@@ -48,6 +48,27 @@ def test_a_heartbeat_without_the_armed_bit_ends_nothing(autopilot: str) -> None:
 
 
 @BOTH
+def test_a_speed_told_with_a_place_that_never_changes_keeps_no_flight_open(autopilot: str) -> None:
+    """The place got stuck in flight, with its speed: down and disarmed the flight ends all the same."""
+    one = in_the_air(autopilot)
+    stuck = one.core.context.vehicle.monitor.position
+    assert stuck is not None
+    east_m_s = round(100 * stuck.velocity_ned_m_s[1])
+    assert east_m_s > 500
+    one.core.command("land")
+    one.tamper = altered(
+        "GLOBAL_POSITION_INT",
+        lat=round(stuck.lat_deg * 1e7),
+        lon=round(stuck.lon_deg * 1e7),
+        alt=round(stuck.alt_amsl_m * 1e3),
+        vy=east_m_s,
+    )
+    one.run(limit_s=300.0)
+    assert one.core.state.ended
+    assert not one.vehicle.autopilot.armed
+
+
+@BOTH
 @pytest.mark.parametrize("after", ["landing", "lapsed"])
 def test_two_witnesses_of_one_frame_each_end_nothing_in_the_air(autopilot: str, after: str) -> None:
     """Landed told once and the armed bit missing once, of a vehicle that hardly moves, forty metres up."""
