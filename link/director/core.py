@@ -50,8 +50,8 @@ class FlightCore:
 
     ``codecs`` gives each station its codec (default: unsigned, the plan's system ids). ``now_s`` is the flight's clock
     at the start, ``epoch_unix_s`` what it is in UTC at 0. ``on_frame(now_s, frame, url)`` is told every frame sent and
-    every message heard, in order, and its link; ``journal`` keeps what is changed on the vehicle, ``claim`` holds it against other
-    programs. A core is used by one thread.
+    every message heard, in order, and its link; ``journal`` keeps what is changed on the vehicle, ``claim`` holds it
+    against other programs. A core is used by one thread.
     """
 
     def __init__(

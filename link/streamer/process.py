@@ -278,7 +278,8 @@ class Streamer:
     def _deliver_rest(self) -> None:
         self._publish()
         result = {"state": self.core.state.value, "exit_code": self.core.state.exit_code, **self.core.summary()}
-        result["log"] = self.recorder.log_path
+        if self.recorder.log_path is not None:
+            result["log"] = self.recorder.log_path
         write_whole(self.run_dir / "result.json", json.dumps(result).encode())
         until = time.monotonic() + LINGER_S
         while time.monotonic() < until and self.control.pending():
