@@ -103,6 +103,12 @@ class FlightReport:
     not_planned: tuple[str, ...]
     """Why it was not flown as planned; empty where it was, as far as the log tells."""
 
+    @property
+    def verdict(self) -> str:
+        """Whether it was flown as planned, and why not."""
+        told = "not as planned: " + "; ".join(self.not_planned) if self.not_planned else "flown as planned"
+        return told + (", as far as the damaged log tells" if self.damage.lines else "")
+
     def to_document(self) -> dict[str, Any]:
         """As a JSON object."""
         document = asdict(self)
@@ -117,14 +123,13 @@ class FlightReport:
         def metres(value: float | None) -> str:
             return "unknown" if value is None else f"{value:.2f} m"
 
-        verdict = "not as planned: " + "; ".join(self.not_planned) if self.not_planned else "flown as planned"
         lines = [
             *(
                 [f"Flights       {self.flights} in this log; this is number {self.flight} (--flight tells which)"]
                 if self.flights > 1
                 else []
             ),
-            f"Flown         {verdict}" + (", as far as the damaged log tells" if self.damage.lines else ""),
+            f"Flown         {self.verdict}",
             *(f"Log           {line}" for line in self.damage.lines),
             *(f"Clock         {line}" for line in self.damage.clock_lines),
             f"Plan          {self.plan_sha256[:16]}, flown by {PROFILES[self.autopilot].title}",

@@ -48,7 +48,8 @@ class LogDamage:
             told.append(f"at least {self.missing_frames} frames of the stations are missing, by their numbers")
         if self.holes:
             longest = max(to_s - from_s for from_s, to_s in self.holes)
-            told.append(f"{len(self.holes)} holes, the longest of {longest:.2f} s: what happened there is not known")
+            holes = "1 hole" if len(self.holes) == 1 else f"{len(self.holes)} holes"
+            told.append(f"{holes}, the longest of {longest:.2f} s: what happened there is not known")
         if self.repeated_records:
             told.append(f"{self.repeated_records} records stand there twice, and count once")
         if self.unknown_frames:
