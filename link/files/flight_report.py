@@ -265,10 +265,7 @@ def _compare(
     destination = plan.trajectory.evaluate(plan.mission_time_s)
     reached = float(np.linalg.norm(place[-1] - destination)) < 0.1
     end_s = float(sent.time_s[-1])
-    heard = replace(part.heard, time_s=part.heard.time_s - part.probes.least_latency_s)
-    # Where setpoints are missing nothing can be held against the vehicle.
-    seen = np.array([not damage.hides(t, t) for t in heard.time_s], dtype=bool)
-    heard = Heard(*(getattr(heard, name)[seen] for name in heard.__dataclass_fields__))
+    heard = _judgeable(part, damage)
     links = part.probes.links(part.end_s, None if history is None else history.failovers)
     delay_s = {link.station: 1e-3 * (link.latency_ms or 0.0) for link in links}
     arrived_s = sent.time_s + np.array([delay_s[names[int(i)]] for i in sent.system_id])
@@ -316,6 +313,13 @@ def _compare(
     report = replace(report, not_planned=_not_planned(report, plan, history))
     times = (sent.time_s - launched_s, late_ms, margins.time_s - launched_s, margins.left_m)
     return report, FlightTraces(errors, *times, part.probes.trips(), launched_s)
+
+
+def _judgeable(part: LogPart, damage: LogDamage) -> Heard:
+    """Positions by when they left the vehicle; where setpoints are missing nothing can be held against it."""
+    heard = replace(part.heard, time_s=part.heard.time_s - part.probes.least_latency_s)
+    seen = np.array([not damage.hides(t, t) for t in heard.time_s], dtype=bool)
+    return Heard(*(getattr(heard, name)[seen] for name in heard.__dataclass_fields__))
 
 
 def _end_off_m(heard: Heard, plan: Plan, end_s: float) -> float | None:

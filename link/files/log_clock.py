@@ -46,8 +46,8 @@ def set_right(stamp_s: Array, witness: Indices, boot_s: Array) -> LogClock:
         if abs(by_s) > (BACK_S if went_s[widest - 1] < 0.0 else STEP_S):
             steps.append((widest, by_s))
     shift = np.zeros(len(time_s))
-    for record, by_s in steps:
-        shift[record:] += by_s
+    for first, by_s in steps:
+        shift[first:] += by_s
     right_s = np.maximum.accumulate(time_s - shift) if len(time_s) else time_s
     leaps = np.flatnonzero(np.diff(right_s) > LEAP_S) + 1
     return LogClock(right_s, tuple(steps), strays, tuple(int(r) for r in leaps))
