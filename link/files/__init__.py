@@ -6,4 +6,13 @@ from link.files.flight_report import report_and_traces, report_flight
 from link.files.setpoint_files import FORMATS, Format, setpoint_file
 from link.files.tlog import read_tlog
 
-__all__ = ["FORMATS", "FileJournal", "Format", "draw", "read_tlog", "report_and_traces", "report_flight", "setpoint_file"]
+__all__ = [
+    "FORMATS",
+    "FileJournal",
+    "Format",
+    "draw",
+    "read_tlog",
+    "report_and_traces",
+    "report_flight",
+    "setpoint_file",
+]

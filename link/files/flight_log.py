@@ -238,7 +238,14 @@ class FlightLog:
             )
         heard = np.array([row for row in rows.positions if low <= row[0] < high], dtype=float).reshape(-1, 5)
         return LogPart(
-            Sent(time_s[table[:, 0].astype(np.int64)], table[:, 2].astype(np.int64), *table[:, 3:6].T, table[:, 6:9]),
+            Sent(
+                time_s[table[:, 0].astype(np.int64)],
+                table[:, 2].astype(np.int64),
+                table[:, 3],
+                table[:, 4],
+                table[:, 5],
+                table[:, 6:9],
+            ),
             self._heard(heard),
             profile,
             probes,

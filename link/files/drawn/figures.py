@@ -96,6 +96,9 @@ def _map(axes: Any, plan: Plan, report: FlightReport, traces: FlightTraces) -> N
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
     axes.set_aspect("equal")
+    # As high as the flight is wide: no empty paper above and below a long one.
+    tall = float(np.ptp(axes.get_ylim()) / np.ptp(axes.get_xlim()))
+    axes.figure.set_figheight(min(max(0.85 * _WIDE_IN * tall + 0.6, 2.2), 7.5))
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     axes.legend(loc="best", fontsize=8, frameon=False)
@@ -133,17 +136,18 @@ def _range(axes: Any, plan: Plan, report: FlightReport, traces: FlightTraces) ->
 
 def _lateness(axes: Any, plan: Plan, report: FlightReport, traces: FlightTraces) -> None:
     axes.plot(*_peaks(traces.setpoint_s, traces.late_ms), color=_FLOWN, linewidth=0.8)
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, max(1.0, 1.1 * float(traces.late_ms.max())))
     axes.set_ylabel("ms")
 
 
 def _links(axes: Any, plan: Plan, report: FlightReport, traces: FlightTraces) -> None:
     top = max((float(np.nanmax(ms)) for _, ms in traces.trips.values() if np.isfinite(ms).any()), default=1.0)
+    top = max(top, 1.0)
     for station, (sent_s, trip_ms) in traces.trips.items():
         time_s = sent_s - traces.launched_s
         (line,) = axes.plot(*_thin(time_s, trip_ms), marker=".", markersize=2.5, linewidth=0.6, label=station)
         lost = np.isnan(trip_ms)
         axes.plot(time_s[lost], np.full(int(lost.sum()), 1.1 * top), linestyle="", marker="x", color=line.get_color())
-    axes.set_ylim(0.0, 1.2 * top + 1e-3)
+    axes.set_ylim(0.0, 1.2 * top)
     axes.set_ylabel("ms")
     axes.legend(loc="best", fontsize=8, frameon=False, ncols=4)

@@ -17,9 +17,11 @@ from link.files.flight_report import FlightReport, FlightTraces
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;color:#1c1c1c;background:#fff;margin:0 auto;padding:1rem;max-width:64rem}
 h1{font-size:1.35rem;margin:.2rem 0}h2{font-size:1rem;margin:1.4rem 0 .4rem}
-.verdict{padding:.5rem .8rem;border-left:4px solid #2e7d32;background:#f1f7f1}.verdict.not{border-color:#c0392b;background:#fbf0ef}
+.verdict{padding:.5rem .8rem;border-left:4px solid #2e7d32;background:#f1f7f1}
+.verdict.not{border-color:#c0392b;background:#fbf0ef}
+.verdict.unsure{border-color:#b26a00;background:#fdf6ea}
 .damage{padding:.5rem .8rem;border-left:4px solid #b26a00;background:#fdf6ea}.damage p{margin:.2rem 0}
-figure{margin:1rem 0}figure img{width:100%;height:auto}figcaption{color:#555;font-size:.9rem}
+figure{margin:1rem 0}.map{max-width:46rem}figure img{width:100%;height:auto}figcaption{color:#555;font-size:.9rem}
 .grid{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(26rem,100%),1fr));gap:0 1.5rem}
 .scroll{overflow-x:auto}pre{font-size:.85rem;white-space:pre}
 """.replace("\n", "")
@@ -46,6 +48,7 @@ def _title(plan: Plan, report: FlightReport) -> str:
 
 def _html(plan: Plan, report: FlightReport, drawn: list[tuple[str, str, Any]]) -> bytes:
     title, verdict = html.escape(_title(plan, report)), html.escape(report.verdict)
+    sure = " not" if report.not_planned else " unsure" if report.damage.lines else ""
     pictures = {}
     for name, caption, figure in drawn:
         data = io.BytesIO()
@@ -53,7 +56,8 @@ def _html(plan: Plan, report: FlightReport, drawn: list[tuple[str, str, Any]]) -
         source = base64.b64encode(data.getvalue()).decode()
         text = html.escape(caption)
         pictures[name] = (
-            f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{source}"><figcaption>{text}</figcaption></figure>'
+            f'<figure class="{name}"><img alt="{text}" src="data:image/svg+xml;base64,{source}">'
+            f"<figcaption>{text}</figcaption></figure>"
         )
     lines = [*report.damage.lines, *report.damage.clock_lines]
     damage = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
@@ -63,7 +67,7 @@ def _html(plan: Plan, report: FlightReport, drawn: list[tuple[str, str, Any]]) -
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>Flight report: {title}</title><style>{_STYLE}</style></head><body>"
         f"<h1>Flight report: {title}</h1>"
-        f'<p class="verdict{" not" if report.not_planned else ""}">{verdict}</p>'
+        f'<p class="verdict{sure}">{verdict}</p>'
         + (f'<div class="damage">{damage}</div>' if damage else "")
         + pictures["map"]
         + f'<div class="grid">{rest}</div><h2>Figures</h2>'
@@ -80,7 +84,9 @@ def _pdf(plan: Plan, report: FlightReport, drawn: list[tuple[str, str, Any]]) ->
     with PdfPages(data) as pages:
         first = Figure(figsize=(8.27, 11.69))
         text = "\n".join(_wrapped(report.to_text()))
-        first.text(0.07, 0.95, f"Flight report: {_title(plan, report)}", fontsize=12, weight="bold", va="top", wrap=True)
+        first.text(
+            0.07, 0.95, f"Flight report: {_title(plan, report)}", fontsize=12, weight="bold", va="top", wrap=True
+        )
         first.text(0.07, 0.91, text, fontsize=7.5, family="monospace", va="top", parse_math=False)
         pages.savefig(first)
         for _, caption, figure in drawn:
@@ -92,4 +98,6 @@ def _pdf(plan: Plan, report: FlightReport, drawn: list[tuple[str, str, Any]]) ->
 def _wrapped(text: str, width: int = 108) -> list[str]:
     import textwrap
 
-    return [part for line in text.splitlines() for part in textwrap.wrap(line, width, subsequent_indent=" " * 14) or [""]]
+    return [
+        part for line in text.splitlines() for part in textwrap.wrap(line, width, subsequent_indent=" " * 14) or [""]
+    ]

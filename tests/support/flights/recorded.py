@@ -79,4 +79,6 @@ def damaged(log: bytes, seed: int) -> tuple[str, bytes]:
         low = draw.randrange(len(pieces) // 3, 3 * len(pieces) // 4)
         high = low + draw.randrange(1, 400)
         return kind, b"".join([*pieces[:high], *pieces[low:high], *pieces[high:]])
-    return kind, stepped(log, draw.choice((-1.0, 1.0)) * draw.choice((2.5, 60.0, 3600.0, 86400.0)), draw.uniform(0.2, 0.8))
+    return kind, stepped(
+        log, draw.choice((-1.0, 1.0)) * draw.choice((2.5, 60.0, 3600.0, 86400.0)), draw.uniform(0.2, 0.8)
+    )
