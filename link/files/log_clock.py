@@ -73,7 +73,7 @@ def _without_strays(stamp_s: Array) -> tuple[Array, int]:
     agree = (after - before >= -BACK_S) & (after - before <= LEAP_S)
     stray = np.flatnonzero(agree & ((here < before - BACK_S) | (here > after + BACK_S))) + 1
     time_s[stray] = time_s[stray - 1]
-    count = int(len(stray))
+    count = len(stray)
     if time_s[0] > time_s[1] + BACK_S or time_s[1] - time_s[0] > 60.0:
         time_s[0], count = time_s[1], count + 1
     if time_s[-1] < time_s[-2] - BACK_S or time_s[-1] - time_s[-2] > 60.0:
