@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from gcs.plan import Plan
 from link.files.flight_log import Heard, Sent, station_names
+from link.files.log_damage import LogDamage
 from planner.arrays import Array, Flags, Indices
 
 PATH_STEP_S = 0.02
@@ -129,3 +131,15 @@ def least_margin(margins: Margins, plan: Plan) -> tuple[float | None, str | None
         return None, None
     worst = int(margins.left_m.argmin())
     return float(margins.left_m[worst]), plan.mission.stations[margins.station[worst]].id
+
+
+def seen_only(heard: Heard, damage: LogDamage) -> Heard:
+    """Without holes of the log: where setpoints are missing nothing can be held against the vehicle."""
+    seen = np.array([not damage.hides(t, t) for t in heard.time_s], dtype=bool)
+    return Heard(*(getattr(heard, name)[seen] for name in heard.__dataclass_fields__))
+
+
+def gaps_s(sent: Sent, damage: LogDamage) -> list[float]:
+    """Times between setpoints, where the log has no hole."""
+    ends = [(float(low), float(high)) for low, high in itertools.pairwise(sent.time_s)]
+    return [high - low for low, high in ends if not damage.hides(low, high)]

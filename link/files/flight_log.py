@@ -237,10 +237,15 @@ class FlightLog:
                 [profile.lat_lon_deg(origin, x, y) for x, y in table[local, 3:5]]
             )
         heard = np.array([row for row in rows.positions if low <= row[0] < high], dtype=float).reshape(-1, 5)
-        lat_deg, lon_deg, alt_amsl_m = table[:, 3:6].T
-        sent_s, system_id = time_s[table[:, 0].astype(np.int64)], table[:, 2].astype(np.int64)
         return LogPart(
-            Sent(sent_s, system_id, lat_deg, lon_deg, alt_amsl_m, table[:, 6:9]),
+            Sent(
+                time_s[table[:, 0].astype(np.int64)],
+                table[:, 2].astype(np.int64),
+                table[:, 3],
+                table[:, 4],
+                table[:, 5],
+                table[:, 6:9],
+            ),
             self._heard(heard),
             profile,
             probes,

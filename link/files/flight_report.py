@@ -31,10 +31,12 @@ from link.files.comparison import (
     ON_PATH_M,
     PlannedPath,
     TrackingErrors,
+    gaps_s,
     last_moving,
     launch_time_s,
     least_margin,
     margins_m,
+    seen_only,
     to_plane,
     tracking_errors,
 )
@@ -262,16 +264,15 @@ def _compare(
 ) -> tuple[FlightReport, FlightTraces]:
     sent, place, plan_s, launched_s = flown
     names = station_names(plan)
-    destination = plan.trajectory.evaluate(plan.mission_time_s)
-    reached = float(np.linalg.norm(place[-1] - destination)) < 0.1
+    reached = float(np.linalg.norm(place[-1] - plan.trajectory.evaluate(plan.mission_time_s))) < 0.1
     end_s = float(sent.time_s[-1])
-    heard = _judgeable(part, damage)
+    heard = replace(part.heard, time_s=part.heard.time_s - part.probes.least_latency_s)
+    heard = seen_only(heard, damage)
     links = part.probes.links(part.end_s, None if history is None else history.failovers)
     delay_s = {link.station: 1e-3 * (link.latency_ms or 0.0) for link in links}
     arrived_s = sent.time_s + np.array([delay_s[names[int(i)]] for i in sent.system_id])
     errors = tracking_errors(heard, sent, arrived_s, place, plan, (launched_s, end_s))
-    ends = zip(sent.time_s[:-1], sent.time_s[1:], strict=True)
-    gaps = [float(high - low) for low, high in ends if not damage.hides(float(low), float(high))]
+    gaps = gaps_s(sent, damage)
     late_ms = grid_lateness_ms(sent.time_s)
     counted = None if history is None else history.lateness
     lateness = _lateness(late_ms) if counted is None else counted
@@ -313,13 +314,6 @@ def _compare(
     report = replace(report, not_planned=_not_planned(report, plan, history))
     times = (sent.time_s - launched_s, late_ms, margins.time_s - launched_s, margins.left_m)
     return report, FlightTraces(errors, *times, part.probes.trips(), launched_s)
-
-
-def _judgeable(part: LogPart, damage: LogDamage) -> Heard:
-    """Positions by when they left the vehicle; where setpoints are missing nothing can be held against it."""
-    heard = replace(part.heard, time_s=part.heard.time_s - part.probes.least_latency_s)
-    seen = np.array([not damage.hides(t, t) for t in heard.time_s], dtype=bool)
-    return Heard(*(getattr(heard, name)[seen] for name in heard.__dataclass_fields__))
 
 
 def _end_off_m(heard: Heard, plan: Plan, end_s: float) -> float | None:

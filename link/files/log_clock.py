@@ -34,10 +34,10 @@ def set_right(stamp_s: Array, witness: Indices, boot_s: Array) -> LogClock:
     """From the records' stamps, and the vehicle's clock ``boot_s`` in the records ``witness`` (rising)."""
     time_s, strays = _without_strays(stamp_s)
     went_s = np.diff(time_s)
-    odd = np.flatnonzero((went_s < -BACK_S) | (went_s > LEAP_S)) + 1
+    odd = [int(at) + 1 for at in np.flatnonzero((went_s < -BACK_S) | (went_s > LEAP_S))]
     brackets: dict[int, list[int]] = {}
     for record in odd:
-        brackets.setdefault(int(np.searchsorted(witness, record)), []).append(int(record))
+        brackets.setdefault(int(np.searchsorted(witness, record)), []).append(record)
     steps: list[tuple[int, float]] = []
     for after, records in sorted(brackets.items()):
         # Of several between two words of the vehicle, the widest is the step.

@@ -26,6 +26,7 @@ def written(tmp_path: Path, log: bytes) -> Path:
     return path
 
 
+@pytest.mark.slow
 @BOTH
 def test_other_programs_find_attitude_and_satellites_in_a_log(autopilot: str, tmp_path: Path) -> None:
     path = written(tmp_path, recorded(autopilot))
@@ -43,6 +44,7 @@ def test_other_programs_find_attitude_and_satellites_in_a_log(autopilot: str, tm
     assert len(links) > 1
 
 
+@pytest.mark.slow
 def test_mavtogpx_shows_the_flight(tmp_path: Path) -> None:
     path = written(tmp_path, recorded())
     script = Path(sys.executable).with_name("mavtogpx.py")
