@@ -42,16 +42,16 @@ from link.session.timeline import plain
 from link.telemetry.link_path import LinkPath
 from link.wire.codec import StationCodec
 
-OnFrame = Callable[[float, bytes], None]
+OnFrame = Callable[[float, bytes, str], None]
 
 
 class FlightCore:
     """One flight.
 
     ``codecs`` gives each station its codec (default: unsigned, the plan's system ids). ``now_s`` is the flight's clock
-    at the start, ``epoch_unix_s`` what it is in UTC at 0. ``on_frame(now_s, frame)`` is told every frame sent and every
-    message heard, in order; ``journal`` keeps what is changed on the vehicle, ``claim`` holds it against other
-    programs. A core is used by one thread.
+    at the start, ``epoch_unix_s`` what it is in UTC at 0. ``on_frame(now_s, frame, url)`` is told every frame sent and
+    every message heard, in order, and its link; ``journal`` keeps what is changed on the vehicle, ``claim`` holds it
+    against other programs. A core is used by one thread.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class FlightCore:
         decoder = self._decoders[url]
         for message in decoder.decode(data):
             if self._on_frame is not None:
-                self._on_frame(timeline.now_s, bytes(message.get_msgbuf()))
+                self._on_frame(timeline.now_s, bytes(message.get_msgbuf()), url)
             with self.containment.of(f"taking a {message.get_type()}"):
                 self.one_vehicle.heard(message.get_srcSystem(), message.get_srcComponent(), message.get_msgbuf())
                 heard = [monitor.receive(timeline.now_s, station, message, url) for station in self._sharing[url]]
@@ -189,10 +189,10 @@ class FlightCore:
     def take_outgoing(self) -> list[tuple[str, bytes]]:
         """Frames to send now, in order, each with its station."""
         outgoing = [(sender.station_id, frame) for sender, frame in self._control.gate.take_outgoing()]
-        for _, frame in outgoing:
+        for station, frame in outgoing:
             self.one_vehicle.sent(frame)
             if self._on_frame is not None:
-                self._on_frame(self._timeline.now_s, frame)
+                self._on_frame(self._timeline.now_s, frame, self._vehicle.monitor.links[station].active.url)
         return outgoing
 
     def take_events(self) -> list[FlightEvent]:

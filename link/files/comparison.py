@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -10,7 +11,8 @@ from scipy.spatial import cKDTree
 
 from gcs.plan import Plan
 from link.files.flight_log import Heard, Sent, station_names
-from planner.arrays import Array, Flags
+from link.files.log_damage import LogDamage
+from planner.arrays import Array, Flags, Indices
 
 PATH_STEP_S = 0.02
 ON_PATH_M = 0.5
@@ -103,15 +105,41 @@ def tracking_errors(
     )
 
 
-def least_margin(heard: Heard, sent: Sent, plan: Plan, from_s: float, to_s: float) -> tuple[float | None, str | None]:
-    """The least range left to the station in control, m, and that station; None where no position was heard."""
+@dataclass(frozen=True)
+class Margins:
+    """Range left to the station in control at each position heard, m; ``station``: its index in the mission."""
+
+    time_s: Array
+    left_m: Array
+    station: Indices
+
+
+def margins_m(heard: Heard, sent: Sent, plan: Plan, from_s: float, to_s: float) -> Margins:
+    """The range left within a span of the log's clock."""
     inside = (heard.time_s >= from_s) & (heard.time_s <= to_s)
-    if not inside.any():
-        return None, None
     places = to_plane(plan, heard.lat_deg[inside], heard.lon_deg[inside], heard.alt_amsl_m[inside])
     at = np.clip(np.searchsorted(sent.time_s, heard.time_s[inside], side="right") - 1, 0, len(sent.time_s) - 1)
     names = station_names(plan)
-    index = np.array([plan.mission.station_index(names[int(i)]) for i in sent.system_id[at]])
-    left = -plan.geometry.outside_m(index, places)
-    worst = int(left.argmin())
-    return float(left[worst]), plan.mission.stations[index[worst]].id
+    index = np.array([plan.mission.station_index(names[int(i)]) for i in sent.system_id[at]], dtype=np.int64)
+    left = -plan.geometry.outside_m(index, places) if len(index) else np.array([])
+    return Margins(heard.time_s[inside], left, index)
+
+
+def least_margin(margins: Margins, plan: Plan) -> tuple[float | None, str | None]:
+    """The least range left, m, and the station it was left to; None where no position was heard."""
+    if not len(margins.left_m):
+        return None, None
+    worst = int(margins.left_m.argmin())
+    return float(margins.left_m[worst]), plan.mission.stations[margins.station[worst]].id
+
+
+def seen_only(heard: Heard, damage: LogDamage) -> Heard:
+    """Without holes of the log: where setpoints are missing nothing can be held against the vehicle."""
+    seen = np.array([not damage.hides(t, t) for t in heard.time_s], dtype=bool)
+    return Heard(*(getattr(heard, name)[seen] for name in heard.__dataclass_fields__))
+
+
+def gaps_s(sent: Sent, damage: LogDamage) -> list[float]:
+    """Times between setpoints, where the log has no hole."""
+    ends = [(float(low), float(high)) for low, high in itertools.pairwise(sent.time_s)]
+    return [high - low for low, high in ends if not damage.hides(low, high)]

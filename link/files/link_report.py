@@ -22,6 +22,7 @@ from gcs.flight import EventKind, FlightEvent
 from gcs.plan import Plan
 from link.errors import ReportError
 from link.telemetry.link_path import PROBE_LOST_S
+from planner.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,19 @@ class ProbeCount:
         """Half of the shortest round trip: what every frame takes at least. 0 where nothing was answered."""
         return 0.5 * min(self._trips.values(), default=0.0)
 
+    def trips(self) -> dict[str, tuple[Array, Array]]:
+        """Of each station: when its probes were sent, and their round trips in ms, NaN where never answered."""
+        result = {}
+        for station in dict.fromkeys(self._stations.values()):
+            sent = [
+                (sent_s, 1e3 * self._trips.get(n, np.nan))
+                for n, (asked, sent_s) in self._sent.items()
+                if asked == station
+            ]
+            table = np.array(sent, dtype=float).reshape(-1, 2)
+            result[station] = (table[:, 0], table[:, 1])
+        return result
+
     def links(self, end_s: float, failovers: Mapping[str, int] | None) -> tuple[LinkReport, ...]:
         """The figures at the log's end; probes under way then are not counted."""
         return tuple(
@@ -109,6 +123,8 @@ class History:
 
     failovers: Mapping[str, int]
     lateness: Mapping[str, float] | None
+    not_planned: tuple[str, ...] = ()
+    """What a flight as planned does not have: its end, where it was another, and commands that break it off."""
 
     @classmethod
     def read(cls, path: str | Path, plan: Plan) -> History:
@@ -119,10 +135,13 @@ class History:
         failovers: dict[str, int] = {}
         result: Mapping[str, Any] | None = None
         flown: set[str] = set()
+        told: list[str] = []
         for event in _events(path):
             if event.kind is EventKind.LINK:
                 station = str(event.data.get("station"))
                 failovers[station] = failovers.get(station, 0) + 1
+            elif event.kind is EventKind.OPERATOR_COMMAND and event.data.get("word") in ("abort", "land"):
+                told.append(f"'{event.data['word']}' was commanded")
             elif event.kind is EventKind.REPLANNED:
                 flown.add(str(event.data.get("before")))
             elif event.kind is EventKind.RESULT:
@@ -130,7 +149,9 @@ class History:
                 flown.add(str(event.data.get("plan_sha256")))
         if flown and plan.plan_sha256 not in flown:
             raise ReportError(f"events {path} are of a flight of another plan ({min(flown)[:16]})")
-        return cls(failovers, None if result is None else result.get("lateness"))
+        if result is not None and result.get("outcome") not in (None, "completed"):
+            told.append(f"it ended as {result['outcome']}")
+        return cls(failovers, None if result is None else result.get("lateness"), tuple(dict.fromkeys(told)))
 
 
 def _events(path: str | Path) -> Iterator[FlightEvent]:

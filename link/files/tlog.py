@@ -2,6 +2,9 @@
 
 A record is eight bytes, big endian, microseconds since 1970-01-01 UTC, then one whole MAVLink frame (signature
 included). There is no header and no index: a log is readable up to the byte where its writer died.
+
+The lowest bits of the time say which link brought the frame, as MAVProxy and pymavlink have it (``mavlogdump --link``
+reads two of them; a flight's log uses four: `MOST_LINKS` links, in the order of the flight's request).
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ import errno
 import io
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +22,8 @@ from link.errors import TlogError
 from link.wire.codec import frame_length
 
 _STAMP_BYTES = 8
+MOST_LINKS = 16
+"""Links that a flight's log tells apart; those beyond are noted as the last."""
 _EARLIEST_US, _LATEST_US = 0, 4_102_444_800_000_000
 """1970 (a recorder without a clock) and 2100: a stamp outside is damage."""
 _PLAUSIBLE_US = 946_684_800_000_000
@@ -35,7 +40,10 @@ def record(frame: bytes, time_utc_us: int) -> bytes:
 
 
 class TlogWriter:
-    """Appends records to a file, each with one unbuffered write, so that a killed process loses nothing.
+    """Writes records to a file of its own, each with one unbuffered write, so that a killed process loses nothing.
+
+    A flight a file: where the name is taken the next free one is used, ``flight-2.tlog`` for ``flight.tlog``; ``path``
+    tells. Devices and pipes are written as they are.
 
     With ``tolerant`` a full disk never disturbs a flight: records are dropped and counted in ``dropped``, and
     ``last_error`` says why. Otherwise `TlogError`.
@@ -49,9 +57,22 @@ class TlogWriter:
         self.last_error = ""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            self._descriptor = self._create()
         except OSError as error:
             raise TlogError(f"log {self.path}: {error.strerror}; give a writable place") from None
+
+    def _create(self) -> int:
+        """A new file, and its name in ``path``."""
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
+        asked, number = self.path, 1
+        while True:
+            try:
+                return os.open(self.path, flags | os.O_CREAT | os.O_EXCL, 0o644)
+            except FileExistsError:
+                if number == 1 and asked.exists() and not asked.is_file():
+                    return os.open(asked, flags)
+                number += 1
+                self.path = asked.with_name(f"{asked.stem}-{number}{asked.suffix}")
 
     def write(self, frame: bytes, time_utc_us: int) -> bool:
         """Append one frame; False when it was dropped. Raises `TlogError` unless tolerant."""
@@ -85,11 +106,20 @@ class TlogWriter:
 
 @dataclass(frozen=True)
 class TlogRecord:
-    """One frame of a log. ``message`` is None for an id our dialect does not know. Signatures are not verified."""
+    """One frame of a log. ``message`` is None for an id our dialect does not know. Signatures are not verified.
+
+    ``skipped_bytes``: of damage just before it.
+    """
 
     time_utc_us: int
     frame: bytes
     message: Any
+    skipped_bytes: int = 0
+
+    @property
+    def link(self) -> int:
+        """Which link brought it, in a flight's log; in others it means nothing."""
+        return self.time_utc_us % MOST_LINKS
 
     @property
     def time_utc_s(self) -> float:
@@ -97,31 +127,40 @@ class TlogRecord:
         return self.time_utc_us / 1e6
 
 
-def read_tlog(source: str | Path | BinaryIO) -> Iterator[TlogRecord]:
-    """The records of a log in file order, decoded one at a time; damaged stretches and a cut tail are skipped.
+@dataclass
+class TlogBytes:
+    """What the bytes of a log were: ``read`` in all, ``skipped`` of them no record; ``tail`` of those at its end."""
+
+    read: int = 0
+    skipped: int = 0
+    tail: int = 0
+
+
+def read_tlog(source: str | Path | BinaryIO, count: TlogBytes | None = None) -> Iterator[TlogRecord]:
+    """The records of a log in file order, decoded one at a time; damaged stretches and a cut tail are skipped,
+    and counted in ``count`` once all is read.
 
     Raises `TlogError` when the file cannot be read, or holds bytes but not one record.
     """
     if isinstance(source, (str, Path)):
         try:
             with open(source, "rb") as stream:
-                yield from _read(stream, str(source))
+                yield from _read(stream, str(source), count or TlogBytes())
         except OSError as error:
             raise TlogError(f"log {source}: {error.strerror}") from None
     else:
-        yield from _read(source, getattr(source, "name", "log"))
+        yield from _read(source, getattr(source, "name", "log"), count or TlogBytes())
 
 
-def _read(stream: BinaryIO | io.BufferedIOBase, name: str) -> Iterator[TlogRecord]:
+def _read(stream: BinaryIO | io.BufferedIOBase, name: str, count: TlogBytes) -> Iterator[TlogRecord]:
     decoder = mavlink.MAVLink(None)
     buffer = bytearray()
     found = False
     # Whether the last record ended exactly here.
     in_step = True
-    read = 0
     while True:
         block = stream.read(_BLOCK)
-        read += len(block)
+        count.read += len(block)
         buffer += block
         start = 0
         while start + _STAMP_BYTES < len(buffer):
@@ -136,15 +175,20 @@ def _read(stream: BinaryIO | io.BufferedIOBase, name: str) -> Iterator[TlogRecor
             in_step = taken is not None
             if taken is None:
                 start += 1
+                count.tail += 1
                 continue
             found = True
             start += length
-            yield taken
+            count.skipped += count.tail
+            skipped, count.tail = count.tail, 0
+            yield replace(taken, skipped_bytes=skipped) if skipped else taken
         del buffer[:start]
         if not block:
             break
-    if read and not found:
-        raise TlogError(f"{name} is no telemetry log: not one MAVLink frame behind a time in {read} bytes")
+    count.tail += len(buffer)
+    count.skipped += count.tail
+    if count.read and not found:
+        raise TlogError(f"{name} is no telemetry log: not one MAVLink frame behind a time in {count.read} bytes")
 
 
 def _record_length(buffer: bytearray, start: int, in_step: bool) -> int | None:

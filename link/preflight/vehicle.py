@@ -25,6 +25,9 @@ MIN_START_HEIGHT_M = 3.0
 """The plan's start must be this far above the vehicle's ground: below it a take-off is no take-off."""
 BATTERY_LOW_PERCENT = 30
 CLOCK_TOLERANCE_S = 1.0
+GPS_ROLLOVER_S = 1024 * 7 * 86400.0
+ROLLOVER_WITHIN_S = 86400.0
+"""So near whole rounds of the GPS week number, a difference of clocks is one: no clock is years off by itself."""
 HOME_NEAR_M = 50.0
 
 
@@ -134,6 +137,11 @@ def judge_clock(vehicle_unix_s: float | None, our_unix_s: float, *, simulated: b
     fits = abs(skew_s) <= CLOCK_TOLERANCE_S
     message = f"this machine's clock is {abs(skew_s):.2f} s {'ahead of' if skew_s > 0 else 'behind'} the vehicle's UTC"
     fix = "let this machine follow NTP; launch times and handover times in UTC are off by as much"
+    weeks = round(skew_s / GPS_ROLLOVER_S)
+    if weeks and abs(skew_s - weeks * GPS_ROLLOVER_S) <= ROLLOVER_WITHIN_S:
+        # The week number of GPS has ten bits: an old receiver tells a date whole rounds of it away.
+        message = f"the vehicle's satellite receiver tells a date {abs(weeks) * 1024} weeks off (GPS week rollover)"
+        fix = "update the receiver's firmware; this machine's clock needs nothing"
     return Check("clock", Level.PASS if fits else Level.WARNING, message, round(skew_s, 3), required, fix=fix)
 
 

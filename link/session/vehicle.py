@@ -27,6 +27,8 @@ MOVES_M_S = 2.0
 """Over the ground faster than this a vehicle flies, or falls."""
 FALLS_M_S = 4.0
 STILL_S = 3.0
+LANDED_S = 0.8
+"""A landed state is a witness when it was told again so much later, and nothing else in between."""
 RESTARTED_S = 30.0
 
 
@@ -99,11 +101,13 @@ class Vehicle:
         monitor, position = self.monitor, self.position
         if monitor.clock.rebooted_s is not None and self.now_s - monitor.clock.rebooted_s <= RESTARTED_S:
             return "it restarted"
-        if position is not None and position.velocity_ned_m_s[2] >= FALLS_M_S:
-            return "it falls"
-        if position is not None and math.hypot(*position.velocity_ned_m_s[:2]) > MOVES_M_S:
-            return ""
-        if self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND and monitor.landed_s > time_s:
+        # A speed told with a place that never changes is a figure that got stuck, no witness.
+        if position is not None and self.now_s - monitor.places.same_since_s <= STILL_S:
+            if position.velocity_ned_m_s[2] >= FALLS_M_S:
+                return "it falls"
+            if math.hypot(*position.velocity_ned_m_s[:2]) > MOVES_M_S:
+                return ""
+        if self.on_ground and monitor.landed_s > time_s and monitor.landed_s - monitor.landed_since_s >= LANDED_S:
             return "it says that it has landed"
         if self.landed_state == 0 and position is not None and self.now_s - monitor.places.still_since_s >= STILL_S:
             return "it stands still"

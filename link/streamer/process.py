@@ -134,7 +134,14 @@ class Streamer:
         epoch_unix_s = time.time()
         codecs = make_codecs(request, run_dir)
         self.stores = [codec.signing.store for codec in codecs.values() if codec.signing is not None]
-        self.recorder = Recorder(run_dir, request.log_path, epoch_unix_s, self.stores)
+        self.recorder = Recorder(
+            run_dir,
+            request.log_path,
+            epoch_unix_s,
+            self.stores,
+            urls=tuple(self.endpoints),
+            vehicle_system_id=request.flown_plan.mission.options.vehicle_system_id,
+        )
         self.core = FlightCore(
             request,
             codecs=codecs,
@@ -271,6 +278,8 @@ class Streamer:
     def _deliver_rest(self) -> None:
         self._publish()
         result = {"state": self.core.state.value, "exit_code": self.core.state.exit_code, **self.core.summary()}
+        if self.recorder.log_path is not None:
+            result["log"] = self.recorder.log_path
         write_whole(self.run_dir / "result.json", json.dumps(result).encode())
         until = time.monotonic() + LINGER_S
         while time.monotonic() < until and self.control.pending():

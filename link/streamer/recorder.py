@@ -8,11 +8,12 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from gcs.flight import FlightEvent
-from link.files.tlog import TlogWriter
+from link.files.kept_once import KeptOnce
+from link.files.tlog import MOST_LINKS, TlogWriter
 from link.streamer.scheduling import REAL_TIME_PRIORITY, raise_priority
 from link.wire.signing_timestamps import SigningStore
 
@@ -24,9 +25,18 @@ class Recorder:
     """Writes frames, events and stamps from a thread of its own; never blocks and never raises into the flight."""
 
     def __init__(
-        self, run_dir: Path, log_path: str | None, epoch_unix_s: float, stores: Iterable[SigningStore] = ()
+        self,
+        run_dir: Path,
+        log_path: str | None,
+        epoch_unix_s: float,
+        stores: Iterable[SigningStore] = (),
+        *,
+        urls: Sequence[str] = (),
+        vehicle_system_id: int = 1,
     ) -> None:
-        self._queue: queue.SimpleQueue[tuple[str, float, bytes] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[tuple[str, float, bytes, str] | None] = queue.SimpleQueue()
+        self._links = {url: min(number, MOST_LINKS - 1) for number, url in enumerate(urls)}
+        self._once = KeptOnce(vehicle_system_id)
         self._epoch_unix_s = epoch_unix_s
         self._stores = tuple(stores)
         self._log = None if log_path is None else TlogWriter(log_path, tolerant=True)
@@ -35,14 +45,19 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def frame(self, now_s: float, frame: bytes) -> None:
-        """Keep a frame sent or heard."""
+    @property
+    def log_path(self) -> str | None:
+        """The log's own file: another name than the one asked for where that was taken."""
+        return None if self._log is None else str(self._log.path)
+
+    def frame(self, now_s: float, frame: bytes, url: str = "") -> None:
+        """Keep a frame sent, or heard over a link; a message of the vehicle once, over whichever came first."""
         if self._log is not None:
-            self._queue.put(("frame", now_s, frame))
+            self._queue.put(("frame", now_s, frame, url))
 
     def event(self, event: FlightEvent) -> None:
         """Keep an event."""
-        self._queue.put(("event", 0.0, json.dumps(event.to_document()).encode() + b"\n"))
+        self._queue.put(("event", 0.0, json.dumps(event.to_document()).encode() + b"\n", ""))
 
     def close(self) -> None:
         """Write out what is queued, for a few seconds at most."""
@@ -66,12 +81,13 @@ class Recorder:
             self._log.close()
         os.close(self._events)
 
-    def _write(self, kind: str, now_s: float, data: bytes) -> None:
+    def _write(self, kind: str, now_s: float, data: bytes, url: str) -> None:
         try:
             if kind == "event":
                 os.write(self._events, data)
-            elif self._log is not None:
-                self._log.write(data, int((self._epoch_unix_s + now_s) * 1e6))
+            elif self._log is not None and (not self._links or self._once.fresh(now_s, url, data)):
+                time_us = int((self._epoch_unix_s + now_s) * 1e6)
+                self._log.write(data, time_us // MOST_LINKS * MOST_LINKS + self._links.get(url, 0))
         except OSError:
             self.dropped += 1
 

@@ -112,6 +112,8 @@ class PositionGate:
         self.jumped_m = 0.0
         self.still_since_s = math.inf
         """Since when the vehicle has not moved."""
+        self.same_since_s = math.inf
+        """Since when the very same place has been told, whatever speed was told with it."""
         self._reach = reach
         self._suspect: Position | None = None
         self._told = 0
@@ -119,7 +121,8 @@ class PositionGate:
     def forget(self) -> None:
         """The vehicle restarted: nothing is known."""
         self.position = self._suspect = None
-        self.still_since_s, self.refused = math.inf, ""
+        self.still_since_s = self.same_since_s = math.inf
+        self.refused = ""
 
     def take(self, new: Position) -> bool:
         """Judge a position; whether it is believed."""
@@ -137,6 +140,8 @@ class PositionGate:
                 return False
             self.jumps += 1
             self.jumped_m = _away_m(before, new)
+        same = before is not None and _place(before) == _place(new)
+        self.same_since_s = min(self.same_since_s, new.heard_s) if same else new.heard_s
         self._suspect, self.position = None, new
         if new.speed_m_s > STILL_M_S:
             self.still_since_s = math.inf
@@ -147,6 +152,10 @@ class PositionGate:
 
 STILL_M_S = 0.5
 """Slower than this a vehicle does not move."""
+
+
+def _place(one: Position) -> tuple[float, float, float]:
+    return one.lat_deg, one.lon_deg, one.alt_amsl_m
 
 
 def _away_m(one: Position, other: Position) -> float:

@@ -15,6 +15,7 @@ from typing import Any
 
 from link.dialect import mavlink
 from link.errors import SigningError
+from link.wire.sequence import frames_ahead
 from link.wire.signing import Signing, Verdict
 
 _HEADER_V1, _HEADER_V2, _CHECKSUM, _SIGNATURE = 6, 10, 2, 13
@@ -32,15 +33,15 @@ class SourceStats:
     last_sequence: int | None = None
 
     def count(self, sequence: int) -> None:
-        """Account for one frame; a step of more than 128 counts as backwards."""
+        """Account for one frame; a step of 128 or more counts as backwards."""
         self.received += 1
         if self.last_sequence is not None:
-            ahead = (sequence - self.last_sequence - 1) % 256
-            if ahead >= 128:
+            ahead = frames_ahead(self.last_sequence, sequence)
+            if ahead <= 0:
                 self.late += 1
                 self.lost = max(0, self.lost - 1)
                 return
-            self.lost += ahead
+            self.lost += ahead - 1
         self.last_sequence = sequence
 
 

@@ -23,6 +23,9 @@ S, C, E = FlightState, OperatorCommand, Effect
 
 ENDED = tuple(state for state in FlightState if state.ended)
 OPEN = tuple(state for state in FlightState if not state.ended)
+UNCHANGED = (S.CONNECTING, S.IDENTIFYING, S.PREFLIGHT)
+"""Nothing may have been changed on the vehicle yet: a flight that ends here may have nothing to say to it."""
+GIVEN_BACK = ("MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "MAV_OPTIONS")
 SETTINGS: dict[str, Any] = {"hold_limit_s": 60.0, "lost_after_s": 20.0, "arm_timeout_s": 20.0, "arrival_hold_s": 8.0}
 ARGUMENTS: dict[OperatorCommand, dict[str, Any]] = {
     C.READY: {"handover": 1},
@@ -148,7 +151,8 @@ def try_cell(one: VirtualFlight, moment: Moment, command: OperatorCommand) -> li
     problems = [f"{effect.value}: {problem}" for problem in CHECKS[effect](one, moment, began_s)]
     if not any(e.kind == "word" and e.data["word"] == command for e in one.events[count:]):
         problems.append("the command is not in the history")
-    if sent == len(one.sent) and moment.state is not S.CONNECTING and effect is not E.NOTE:
+    quiet = effect is E.NOTE or (effect is E.STOP_ON_GROUND and moment.state in UNCHANGED)
+    if sent == len(one.sent) and not quiet:
         problems.append("silence")
     return problems
 
@@ -206,7 +210,14 @@ def _lands(*ends: FlightState, at_once: bool = True) -> Callable[[VirtualFlight,
 
 def _stops(one: VirtualFlight, moment: Moment, began_s: float) -> list[str]:
     one.run(limit_s=90.0)
-    problems = [] if one.core.state in (S.REFUSED, S.CONTINGENCY) else [f"ended {one.core.state}"]
+    before = (
+        VirtualFlight(one.plan, one.request.autopilot).vehicle.parameters
+        if one.request.autopilot == "ardupilot"
+        else {}
+    )
+    kept = [name for name in GIVEN_BACK if before and one.vehicle.parameters[name] != before[name]]
+    problems = [f"not given back: {', '.join(kept)}"] if kept else []
+    problems += [] if one.core.state in (S.REFUSED, S.CONTINGENCY) else [f"ended {one.core.state}"]
     if one.core.state is S.REFUSED and any(e.data.get("to") == "takeoff" for e in one.said("state")):
         problems.append("called refused after a take-off")
     if one.vehicle.autopilot.armed or not one.vehicle.body.on_ground:

@@ -120,7 +120,7 @@ SURFACE = {
     "link.autopilot": "PROFILES AutopilotProfile EkfOrigin",
     "link.dialect": "mavlink",
     "link.director": "PREFLIGHT_VALID_S judge_next",
-    "link.files": "FORMATS FileJournal Format read_tlog report_flight setpoint_file",
+    "link.files": "FORMATS FileJournal Format draw read_tlog report_and_traces report_flight setpoint_file",
     "link.microservices": "Parameter",
     "link.preflight": "Check Identity Level judge_failsafes judge_identity worst worst_first",
     "link.session": "FlightRequest",

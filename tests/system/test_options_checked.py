@@ -150,7 +150,8 @@ def with_all() -> Plan:
 
 def test_costs_are_what_planning_without_the_option_saves(with_all: Plan) -> None:
     costs = {cost.option: cost.cost_s for cost in with_all.costs}
-    assert set(costs) == {"min_overlap_s", "range_margin_m", "min_tenure_s", "max_jerk_m_s3", "arrival_s", "together"}
+    options = {"min_overlap_s", "overlap_target_s", "range_margin_m", "min_tenure_s", "handover_tolerance"}
+    assert set(costs) == {*options, "max_jerk_m_s3", "arrival_s", "together"}
     mission = write_mission(with_all.mission)
     hurried = changed(mission, {"options.arrival_s": None})
     base_s = planned(hurried)["mission_time_s"]

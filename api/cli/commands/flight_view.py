@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from api.cli.console import Progress
+from gcs.flight import FlightState
 from link.transport import Sender
 
 if TYPE_CHECKING:
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
     from gcs.plan import Plan
     from link.streamer import FlightResult
 
+_NOT_PLANNED = ("abort", "land")
+FAR_OFF_PLAN_M = 10.0
+"""A vehicle that was so far from where the plan had it did not fly as planned."""
 _WORTH_TELLING = {"released", "late", "failed", "timed_out", "refused"}
 # Elsewhere the distance from the plan means nothing.
 _ON_THE_PATH = {"transit", "cruise", "holding", "returning"}
@@ -72,6 +76,10 @@ class FlightView:
         self.failed_checks: list[dict[str, Any]] = []
         self.reason = ""
         """Why the flight is in the state it is in."""
+        self.ended_why = ""
+        """Why it ended; empty while it has not been told that it has."""
+        self.not_planned: list[str] = []
+        """What was told of the flight that a flight as planned does not have."""
 
     def __call__(self, event: FlightEvent) -> None:
         """Show one event."""
@@ -116,6 +124,7 @@ class FlightView:
     def _line(self, kind: str, state: str, data: Any) -> str | None:
         if kind == "state":
             self.reason = str(data.get("reason") or "")
+            self.ended_why = self.reason if FlightState(data["to"]).ended else ""
             if data["to"] == "preflight":
                 self.failed_checks.clear()
             if data["to"] == "refused" and self.failed_checks:
@@ -148,6 +157,8 @@ class FlightView:
         if kind == "text":
             return f"vehicle says: {data['text']}"
         if kind == "word":
+            if data["word"] in _NOT_PLANNED:
+                self.not_planned.append(f"'{data['word']}' was commanded")
             return f"operator command: {data['word']}"
         return None
 
@@ -168,13 +179,21 @@ def _link_lines(link: Any) -> list[str]:
     return lines
 
 
-def result_lines(plan: Plan, result: FlightResult, log: str | None = None) -> list[str]:
-    """How a flight went, for people."""
+def result_lines(
+    plan: Plan, result: FlightResult, log: str | None = None, not_planned: Sequence[str] = ()
+) -> list[str]:
+    """How a flight went, for people; ``not_planned``: what was told that a flight as planned does not have."""
     summary = result.summary
     completed = result.exit_code == 0
-    as_planned = completed and result.state.value == "completed"
-    reason = f": {result.reason}" if result.reason and not as_planned else ""
-    lines = [f"flight report: {'arrived, flown as planned' if as_planned else state_text(result.state.value) + reason}"]
+    worst_m = summary.get("tracking_worst_m") or 0.0
+    told = [*dict.fromkeys(not_planned)]
+    if worst_m > FAR_OFF_PLAN_M:
+        told.append(f"up to {worst_m:.1f} m from where the plan had it")
+    if completed and result.state.value == "completed":
+        ended = f"arrived, not as planned: {', '.join(told)}" if told else "arrived, flown as planned"
+    else:
+        ended = state_text(result.state.value) + (f": {result.reason}" if result.reason else "")
+    lines = [f"flight report: {ended}"]
     flown = summary.get("flown_s")
     if flown is not None:
         lines.append(

@@ -55,7 +55,13 @@ class FlyOptions:
     speedup: Annotated[
         float, typer.Option(metavar="X", help="Fly X times as fast: our simulator at that factor, loopback links only.")
     ] = 1.0
-    log: Annotated[str | None, typer.Option(metavar="FILE.tlog", help="Keep every frame sent and heard.")] = None
+    log: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.tlog",
+            help="Keep every frame sent and heard, a flight a file: where the name is taken, FILE-2.tlog, and so on.",
+        ),
+    ] = None
     set_parameters: Annotated[
         Literal["auto", "yes", "no"],
         typer.Option(help="Whether unsafe failsafe parameters are set on the vehicle; auto: on our simulator alone."),
@@ -311,7 +317,9 @@ def conclude(
 
     if result.exit_code == 1:
         raise FaultError("the flight ended by a fault of ours", {"what": result.reason})
-    report = "\n".join(result_lines(plan, result, log))
+    log = None if log is None else str(result.summary.get("log") or log)
+    report = "\n".join(result_lines(plan, result, log, view.not_planned))
+    why = view.ended_why or result.reason or f"no reason was told; its last state was {result.state.value}"
     if result.exit_code == 0:
         if not as_json:
             sys.stdout.write(report + "\n")
@@ -327,10 +335,8 @@ def conclude(
         for check in view.failed_checks
     ]
     if result.state == "refused":
-        raise ContingencyError(
-            "the flight was refused before take-off", *(paragraphs or [{"what": view.reason or result.reason}])
-        )
-    raise ContingencyError(f"the flight ended in {state_text(result.state)}", {"what": view.reason, "report": report})
+        raise ContingencyError("the flight was refused before take-off", *(paragraphs or [{"what": why}]))
+    raise ContingencyError(f"the flight ended in {state_text(result.state)}", {"what": why, "report": report})
 
 
 def _fix(plan: Plan, check: Mapping[str, Any]) -> str | None:

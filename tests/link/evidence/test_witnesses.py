@@ -48,6 +48,46 @@ def test_a_heartbeat_without_the_armed_bit_ends_nothing(autopilot: str) -> None:
 
 
 @BOTH
+def test_a_speed_told_with_a_place_that_never_changes_keeps_no_flight_open(autopilot: str) -> None:
+    """The place got stuck in flight, with its speed: down and disarmed the flight ends all the same."""
+    one = in_the_air(autopilot)
+    stuck = one.core.context.vehicle.monitor.position
+    assert stuck is not None
+    east_m_s = round(100 * stuck.velocity_ned_m_s[1])
+    assert east_m_s > 500
+    one.core.command("land")
+    one.tamper = altered(
+        "GLOBAL_POSITION_INT",
+        lat=round(stuck.lat_deg * 1e7),
+        lon=round(stuck.lon_deg * 1e7),
+        alt=round(stuck.alt_amsl_m * 1e3),
+        vy=east_m_s,
+    )
+    one.run(limit_s=300.0)
+    assert one.core.state.ended
+    assert not one.vehicle.autopilot.armed
+
+
+@BOTH
+@pytest.mark.parametrize("after", ["landing", "lapsed"])
+def test_two_witnesses_of_one_frame_each_end_nothing_in_the_air(autopilot: str, after: str) -> None:
+    """Landed told once and the armed bit missing once, of a vehicle that hardly moves, forty metres up."""
+    one = in_the_air(autopilot)
+    if after == "landing":
+        one.core.command("land")
+    else:
+        one.core.airborne._lose_link("a test", pin=True)
+    one.run_for(4.0)
+    for _ in range(8):
+        for _ in range(3):
+            one.say(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_ON_GROUND))
+        one.say(own_beat(one, armed=False))
+        one.run_for(0.55)
+    assert not one.core.state.ended
+    assert one.vehicle.autopilot.armed
+
+
+@BOTH
 def test_heartbeats_that_never_show_the_armed_bit_end_nothing_while_it_flies(autopilot: str) -> None:
     one = in_the_air(autopilot)
     one.tamper = altered("HEARTBEAT", base_mode=own_beat(one, armed=False).base_mode)  # type: ignore[attr-defined]

@@ -63,12 +63,14 @@ def test_written_and_read_back(tmp_path: Path) -> None:
     assert records[3].time_utc_s == 1_795_338_000.06
 
 
-def test_a_second_flight_appends(tmp_path: Path) -> None:
+def test_a_flight_a_file_and_a_name_that_is_taken_is_numbered(tmp_path: Path) -> None:
     path = tmp_path / "flight.tlog"
     for i in range(3):
         with TlogWriter(path) as log:
             log.write(attitude(i), START_US + i)
-    assert numbers(list(read_tlog(path))) == [0, 1, 2]
+        assert log.path.name == ("flight.tlog", "flight-2.tlog", "flight-3.tlog")[i]
+        assert numbers(list(read_tlog(log.path))) == [i]
+    assert numbers(list(read_tlog(path))) == [0]
 
 
 def test_mavutil_reads_it(tmp_path: Path) -> None:

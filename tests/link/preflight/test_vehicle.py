@@ -366,3 +366,13 @@ def test_a_margin_smaller_than_the_tracking_error_is_refused() -> None:
     request(tracking_error_m=margin_m - 0.1)
     with pytest.raises(FlightRequestError, match="range_margin_m"):
         request(tracking_error_m=margin_m + 0.1)
+
+
+def test_a_gps_week_rollover_is_the_receivers_fault_and_not_this_machines() -> None:
+    now_s = 1_795_000_000.0
+    for rounds in (1, 2, -1):
+        check = judge_clock(now_s - rounds * 1024 * 7 * 86400.0 + 0.3, now_s, simulated=False)
+        assert check.level is Level.WARNING
+        assert f"{abs(rounds) * 1024} weeks off (GPS week rollover)" in check.message
+        assert "NTP" not in check.fix
+    assert "NTP" in judge_clock(now_s - 3600.0, now_s, simulated=False).fix

@@ -1,0 +1,1 @@
+"""A flight's report drawn: one page of HTML, or of PDF."""
