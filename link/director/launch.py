@@ -49,6 +49,7 @@ HEARD_S = 3.0
 PREFLIGHT_VALID_S = 60.0
 """A flight is launched on a preflight younger than this, by the wall's clock: it is a person who relies on it."""
 SIMULATOR_PARAMETER = "SIM_SPEEDUP"
+AS_ASKED = "it is made again, as asked"
 
 
 class Launch:
@@ -89,7 +90,8 @@ class Launch:
         yield from self._know_vehicle()
         yield from self._preflight()
         while void := (yield from self._wait_for_command()):
-            self._timeline.alarm("the preflight is void", reason=void)
+            if void != AS_ASKED:
+                self._timeline.alarm("the preflight is void", reason=void)
             # The last launch command was given in ignorance of it.
             self.commanded, self._passed_s = self._request.auto_launch, None
             yield from self._preflight(void)
@@ -377,7 +379,7 @@ class Launch:
             yield from self.restore()
             raise Refused(f"no word to launch in {limit_s:g} s")
         if not self.commanded and self.renewed:
-            return "it is made again, as asked"
+            return AS_ASKED
         if not self.commanded:
             # Whatever woke this never launches: it refuses the flight, or where it is over the preflight is made again.
             told = self._one.hindrance() or "something spoke against the launch"

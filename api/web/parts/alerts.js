@@ -5,14 +5,14 @@ import { html, nothing } from "../vendor/lit-html/lit-html.js";
 import { tPlus } from "./templates.js";
 
 const ACTIVE_S = 60;
-const WARNINGS = ["lapse", "fall", "descent", "lost", "two vehicles", "two autopilots", "another station", "somebody else", "restarted", "not heard", "silent", "battery", "estimate", "out of range", "off the plan", "failsafe"];
-const ADVISORIES = ["re-timed", "retimed", "was set", "sent again", "asked for again"];
+const WARNING = /lapse|\bfalls?\b(?! behind)|descent|\blost\b|two vehicles|two autopilots|another station|somebody else|restarted|not heard|silent|battery|estimate|out of range|off the plan|failsafe/;
+const ADVISORY = /re-?timed|was set|sent again|asked for again/;
 
 /** The priority of an alarm by what it says. */
 export function priorityOf(alarm) {
   const text = `${alarm.what ?? ""} ${alarm.reason ?? ""}`.toLowerCase();
-  if (WARNINGS.some((word) => text.includes(word))) return "warning";
-  if (ADVISORIES.some((word) => text.includes(word))) return "advisory";
+  if (WARNING.test(text)) return "warning";
+  if (ADVISORY.test(text)) return "advisory";
   return "caution";
 }
 

@@ -74,7 +74,7 @@ const row = (m) => html`<tr>
 
 const intro = (actions) => html`<section class="intro" aria-labelledby="intro-title">
   <h2 id="intro-title">A flight beyond the range of any one station, relayed from station to station</h2>
-  <svg viewBox="0 0 640 150" role="img" aria-label="A path through three overlapping ranges; control changes hands where two of them overlap">
+  <svg viewBox="0 -30 640 220" role="img" aria-label="A path through three overlapping ranges; control changes hands where two of them overlap">
     <g class="intro-ranges"><circle cx="130" cy="80" r="105"></circle><circle cx="320" cy="70" r="105"></circle><circle cx="510" cy="80" r="105"></circle></g>
     <g class="intro-stations"><circle cx="130" cy="80" r="5"></circle><circle cx="320" cy="70" r="5"></circle><circle cx="510" cy="80" r="5"></circle></g>
     <path class="intro-path" d="M60 100 C 150 40, 250 60, 320 95 S 500 120, 580 60"></path>

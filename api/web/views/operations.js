@@ -44,7 +44,7 @@ export async function open(host) {
 function launchedAt({ flight }) {
   const { live } = flight;
   if (live?.t_plus_s === null || live?.t_plus_s === undefined) return Date.now();
-  return Date.parse(live.utc ?? new Date().toISOString()) - 1000 * live.t_plus_s;
+  return Date.now() - 1000 * live.t_plus_s;
 }
 
 /** Duties of stations: who is wanted when, by which flight. */
@@ -84,7 +84,7 @@ function board(flights) {
   const ticks = [];
   for (let t = Math.ceil(first / (1000 * step)) * 1000 * step; t < last; t += 1000 * step) ticks.push(t);
   const double = clashes(all);
-  const picture = svg`<svg viewBox="0 0 ${WIDTH} ${height}" class="diagram board" role="img" aria-label="Stations in control over time; the table below says the same">
+  const picture = svg`<svg viewBox="0 0 ${WIDTH} ${height}" class="diagram board" role="group" aria-label="Stations in control over time; the table below says the same">
     ${ticks.map((t) => svg`<line class="grid" x1=${x(t)} x2=${x(t)} y1="0" y2=${height - 22}></line><text x=${x(t)} y=${height - 6} text-anchor="middle">${new Date(t).toISOString().slice(11, 16)}</text>`)}
     ${stations.map((s, i) => svg`<text x=${LEFT - 8} y=${i * ROW + 17} text-anchor="end">${s}</text>`)}
     ${all.filter((d) => d.to > first).map((d) => svg`<a href="#station/${d.flight.id}/${encodeURIComponent(d.station)}"><rect x=${x(d.from)} y=${stations.indexOf(d.station) * ROW + 4} width=${Math.max(2, x(d.to) - x(d.from))} height=${ROW - 8} rx="2"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import socket
-from importlib import resources
 from typing import Any
 
 import httpx
 import pytest
 
 from tests.support.missions.malformed import GOOD
+from tests.support.paths import ROOT
 
 PROBLEM = "application/problem+json"
 
@@ -208,11 +208,17 @@ def test_the_page_and_all_it_loads_come_from_here(client: httpx.Client) -> None:
         for asset in re.findall(r'(?:src|href)="(assets/[^"]+)"', page.text):
             assert client.get(f"/{asset}").status_code == 200
     foreign = re.compile(r"https?://(?!www\.w3\.org/)")
-    for entry in resources.files("api").joinpath("web").iterdir():
+    web = ROOT / "api" / "web"
+    for entry in [
+        path for folder in (web, web / "parts", web / "views") for path in folder.iterdir() if path.is_file()
+    ]:
         text = entry.read_text(encoding="utf-8")
         assert not foreign.search(text), entry.name
-        for module in re.findall(r'from "\./([^"]+)"', text):
-            assert client.get(f"/assets/{module}").status_code == 200
+        for module in re.findall(r'(?:from |import\()"(\.[^"]+)"', text):
+            address = (entry.parent / module).resolve().relative_to(web)
+            answer = client.get(f"/assets/{address}")
+            assert answer.status_code == 200, address
+            assert answer.headers["content-type"].startswith("text/javascript"), address
 
 
 def test_the_description_covers_every_route_with_examples(client: httpx.Client) -> None:
