@@ -1,4 +1,4 @@
-"""Screenshots of every view of the page, wide and narrow, light and dark: ``python -m tests.support.processes.pictures``.
+"""Screenshots of every view, wide and narrow, light and dark: ``python -m tests.support.processes.pictures``.
 
 A service of its own, the Wadden mission, a simulated vehicle; written into ``docs/pictures``.
 """
