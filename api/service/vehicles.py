@@ -13,7 +13,7 @@ from gcs.errors import ConflictError
 from gcs.store import Store
 from link.errors import EndpointError, LinkError, VehicleError
 from link.files import FileJournal
-from link.streamer import open_desk
+from link.streamer import open_vehicle_client
 
 log = structlog.get_logger("api.vehicles")
 
@@ -23,7 +23,7 @@ _PAUSES_S = (0.0, 15.0, 30.0, *[60.0] * 30)
 
 
 def restore_vehicle(store: Store, vehicle_id: str, *, unlock: bool) -> dict[str, Any]:
-    """Give back what the journal notes of a registered vehicle, over its links in turn (`link.streamer.VehicleDesk`).
+    """Give back what the journal notes of a registered vehicle, over its links in turn (`link.streamer.VehicleClient`).
 
     Raises `gcs.errors.NotFoundError`, `ConflictError` (it does not answer, is armed, or flies).
     """
@@ -41,8 +41,10 @@ def restore_vehicle(store: Store, vehicle_id: str, *, unlock: bool) -> dict[str,
 def _restored(
     url: str, key: str | None, state: str | None, *, system_id: int | None = None, unlock: bool = False
 ) -> dict[str, Any]:
-    with open_desk(url, system_id=system_id, signing_key=key, signing_state=state, timeout_s=_LISTEN_S) as desk:
-        return desk.restore(FileJournal(), unlock=unlock)
+    with open_vehicle_client(
+        url, system_id=system_id, signing_key=key, signing_state=state, timeout_s=_LISTEN_S
+    ) as client:
+        return client.restore(FileJournal(), unlock=unlock)
 
 
 class Restorer:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from link.handover.restoration import Desk, restore_changes
+from link.handover.restoration import Microservices, restore_changes
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
 from link.session.changes import ChangeJournal, MemoryJournal, VehicleChanges, unique_id
@@ -31,7 +31,7 @@ class ChangeNote:
         self._timeline = flight.timeline
         self._vehicle = flight.vehicle
         self._control = flight.control
-        self._desk = Desk(flight.timeline, flight.vehicle, flight.control, parameters, missions)
+        self._services = Microservices(flight.timeline, flight.vehicle, flight.control, parameters, missions)
         self._journal: ChangeJournal = MemoryJournal() if journal is None else journal
         request = flight.request
         self.changes = VehicleChanges(
@@ -100,7 +100,7 @@ class ChangeNote:
             station = self._control.in_force.station_id
             self._timeline.alarm("an earlier flight left this changed", flight=one.flight_id, changed=one.texts)
             sure = bool(set(one.urls) & set(self.changes.urls))
-            done = yield from restore_changes(self._desk, self._journal, one, sure=sure)
+            done = yield from restore_changes(self._services, self._journal, one, sure=sure)
             self._control.grant(station, "restoration over")
             if not done.complete:
                 kept = ", ".join(done.failed)

@@ -28,7 +28,7 @@ ANSWER_S = 30.0
 
 
 @dataclass(frozen=True)
-class Desk:
+class Microservices:
     """What a restoration works with: a station in control, the vehicle, and the two microservices."""
 
     timeline: Timeline
@@ -54,7 +54,7 @@ class Restored:
 
 
 def restore_changes(
-    desk: Desk, journal: ChangeJournal, changes: VehicleChanges, *, sure: bool, ids_alone: bool = False
+    services: Microservices, journal: ChangeJournal, changes: VehicleChanges, *, sure: bool, ids_alone: bool = False
 ) -> Steps[Restored]:
     """Give back what ``changes`` notes, and strike it from the journal; ``ids_alone``: of an armed vehicle no more.
 
@@ -63,30 +63,30 @@ def restore_changes(
     done, left = Restored(), changes
     if not ids_alone:
         for name, (before, after) in reversed(list(changes.settings.items())):
-            if (yield from _give_back(desk, name, before, (after,), done)):
+            if (yield from _give_back(services, name, before, (after,), done)):
                 left = left.without(settings=(name,))
         for kind, (items, made) in changes.lists.items():
-            if (yield from _list_back(desk, kind, items, made, done)):
+            if (yield from _list_back(services, kind, items, made, done)):
                 left = left.without(lists=(kind,))
     # Last, and in the order that leaves the writer heard as long as can be.
     given = True
     for key, was, ours in _ids_in_order(changes):
-        given = (yield from _give_back(desk, key, was, ours, done)) and given
+        given = (yield from _give_back(services, key, was, ours, done)) and given
     if given:
         left = left.without(gcs_ids=True)
     if sure or done.given_back:
-        _strike(desk, journal, changes, left)
+        _strike(services, journal, changes, left)
     return done
 
 
-def _strike(desk: Desk, journal: ChangeJournal, before: VehicleChanges, left: VehicleChanges) -> None:
+def _strike(services: Microservices, journal: ChangeJournal, before: VehicleChanges, left: VehicleChanges) -> None:
     if left.empty:
         journal.done(before.key)
     elif left != before:
         try:
             journal.keep(left)
         except OSError as error:  # the older note names more than is left, which does no harm
-            desk.timeline.alarm("the journal of changes cannot be written", reason=str(error))
+            services.timeline.alarm("the journal of changes cannot be written", reason=str(error))
 
 
 def _ids_in_order(changes: VehicleChanges) -> list[tuple[str, int, tuple[int, ...]]]:
@@ -110,9 +110,11 @@ def is_option(name: str) -> bool:
     return name in ("MAV_OPTIONS", "SYSID_ENFORCE")
 
 
-def _give_back(desk: Desk, name: str, before: int | float, made: Iterable[int | float], done: Restored) -> Steps[bool]:
+def _give_back(
+    services: Microservices, name: str, before: int | float, made: Iterable[int | float], done: Restored
+) -> Steps[bool]:
     """One parameter; whether it needs no more care."""
-    now = yield from read_heard(desk, name)
+    now = yield from read_heard(services, name)
     if now is None:
         done.failed.append(name)
         return False
@@ -121,29 +123,29 @@ def _give_back(desk: Desk, name: str, before: int | float, made: Iterable[int | 
         return True
     if not any(same_value(now, value) for value in made):
         done.foreign.append(name)
-        desk.timeline.alarm("somebody else changed it since, so it stays", name=name, value=now, before=before)
+        services.timeline.alarm("somebody else changed it since, so it stays", name=name, value=now, before=before)
         return True
-    if not (yield from write_heard(desk, name, before)):
+    if not (yield from write_heard(services, name, before)):
         done.failed.append(name)
-        desk.timeline.alarm("parameter not put back", name=name, value=before)
+        services.timeline.alarm("parameter not put back", name=name, value=before)
         return False
     done.given_back.append(name)
-    desk.timeline.emit(EventKind.PARAMETER, name=name, before=now, after=before)
+    services.timeline.emit(EventKind.PARAMETER, name=name, before=now, after=before)
     return True
 
 
-def _voices(desk: Desk) -> tuple[bool, ...]:
+def _voices(services: Microservices) -> tuple[bool, ...]:
     """Under whose id to speak: our own, then, where an autopilot may be deaf to it, the vehicle's."""
-    return (False, True) if desk.vehicle.profile.filters_station_ids else (False,)
+    return (False, True) if services.vehicle.profile.filters_station_ids else (False,)
 
 
-def read_heard(desk: Desk, name: str) -> Steps[int | float | None]:
+def read_heard(services: Microservices, name: str) -> Steps[int | float | None]:
     """A parameter's value, asked under our own id and then under the vehicle's; None: no answer."""
-    station = desk.control.in_force.station_id
-    for as_vehicle in _voices(desk):
-        desk.control.grant(station, "restoration", as_vehicle=as_vehicle)
-        (asked,) = desk.parameters.read([name], desk.control.in_force)
-        yield from wait_until(desk.timeline, lambda a=asked: a.finished, ANSWER_S)  # type: ignore[misc]
+    station = services.control.in_force.station_id
+    for as_vehicle in _voices(services):
+        services.control.grant(station, "restoration", as_vehicle=as_vehicle)
+        (asked,) = services.parameters.read([name], services.control.in_force)
+        yield from wait_until(services.timeline, lambda a=asked: a.finished, ANSWER_S)  # type: ignore[misc]
         if asked.answer is not None:
             return asked.answer.value
         if asked.denied:
@@ -151,24 +153,24 @@ def read_heard(desk: Desk, name: str) -> Steps[int | float | None]:
     return None
 
 
-def write_heard(desk: Desk, name: str, value: int | float) -> Steps[bool]:
+def write_heard(services: Microservices, name: str, value: int | float) -> Steps[bool]:
     """Set a parameter that was read, under whichever id is heard; whether it was read back."""
-    station, first = desk.control.in_force.station_id, desk.control.in_force.sender.as_vehicle
-    for as_vehicle in dict.fromkeys((first, *_voices(desk))):
-        desk.control.grant(station, "restoration", as_vehicle=as_vehicle)
-        setting = desk.parameters.set(name, value, desk.control.in_force)
-        yield from wait_until(desk.timeline, lambda s=setting: s.finished, ANSWER_S)  # type: ignore[misc]
+    station, first = services.control.in_force.station_id, services.control.in_force.sender.as_vehicle
+    for as_vehicle in dict.fromkeys((first, *_voices(services))):
+        services.control.grant(station, "restoration", as_vehicle=as_vehicle)
+        setting = services.parameters.set(name, value, services.control.in_force)
+        yield from wait_until(services.timeline, lambda s=setting: s.finished, ANSWER_S)  # type: ignore[misc]
         if setting.confirmed:
             return True
     return False
 
 
 def _list_back(
-    desk: Desk, kind: int, before: tuple[MissionItem, ...], made: tuple[MissionItem, ...], done: Restored
+    services: Microservices, kind: int, before: tuple[MissionItem, ...], made: tuple[MissionItem, ...], done: Restored
 ) -> Steps[bool]:
     """One list; whether it needs no more care."""
-    name, traits = TYPE_NAMES[kind], desk.vehicle.profile.mission
-    held = yield from _held(desk, kind)
+    name, traits = TYPE_NAMES[kind], services.vehicle.profile.mission
+    held = yield from _held(services, kind)
     if held is None:
         done.failed.append(name)
         return False
@@ -179,26 +181,26 @@ def _list_back(
     ours = [any(not difference([one], [item], traits, kind) for one in (*made, *before)) for item in held]
     if not all(ours):
         done.foreign.append(name)
-        desk.timeline.alarm("somebody else changed it since, so it stays", name=name, count=len(held))
+        services.timeline.alarm("somebody else changed it since, so it stays", name=name, count=len(held))
         return True
     transfer = yield from (
-        _run(desk, MissionUpload(before, traits=traits, **_ends(desk, kind)))
+        _run(services, MissionUpload(before, traits=traits, **_ends(services, kind)))
         if before
-        else _run(desk, MissionClear(traits=traits, **_ends(desk, kind)))
+        else _run(services, MissionClear(traits=traits, **_ends(services, kind)))
     )
     if transfer.failure is not None:
         done.failed.append(name)
-        desk.timeline.alarm(f"{name} not put back", count=len(before), reason=transfer.failure.message)
+        services.timeline.alarm(f"{name} not put back", count=len(before), reason=transfer.failure.message)
         return False
     done.given_back.append(name)
     return True
 
 
-def _held(desk: Desk, kind: int) -> Steps[tuple[MissionItem, ...] | None]:
-    station = desk.control.in_force.station_id
-    for as_vehicle in _voices(desk):
-        desk.control.grant(station, "restoration", as_vehicle=as_vehicle)
-        transfer = yield from _run(desk, MissionDownload(**_ends(desk, kind)))
+def _held(services: Microservices, kind: int) -> Steps[tuple[MissionItem, ...] | None]:
+    station = services.control.in_force.station_id
+    for as_vehicle in _voices(services):
+        services.control.grant(station, "restoration", as_vehicle=as_vehicle)
+        transfer = yield from _run(services, MissionDownload(**_ends(services, kind)))
         if transfer.failure is None:
             assert isinstance(transfer, MissionDownload)
             try:
@@ -208,12 +210,12 @@ def _held(desk: Desk, kind: int) -> Steps[tuple[MissionItem, ...] | None]:
     return None
 
 
-def _ends(desk: Desk, kind: int) -> dict[str, object]:
-    return {"target": (desk.vehicle.system_id, 1), "station": (desk.control.own_id, 190), "mission_type": kind}
+def _ends(services: Microservices, kind: int) -> dict[str, object]:
+    return {"target": (services.vehicle.system_id, 1), "station": (services.control.own_id, 190), "mission_type": kind}
 
 
-def _run(desk: Desk, transfer: MissionTransfer) -> Steps[MissionTransfer]:
-    desk.missions.start(desk.timeline.now_s, desk.control.in_force, transfer)
+def _run(services: Microservices, transfer: MissionTransfer) -> Steps[MissionTransfer]:
+    services.missions.start(services.timeline.now_s, services.control.in_force, transfer)
     while transfer.running:
         yield
     return transfer

@@ -286,6 +286,18 @@ def test_a_long_function_without_a_reason_and_a_reason_without_one_are_found(bui
     assert found == ["over/desk.py:Desk.open: a reason for a function that is not long"]
 
 
+def test_an_invented_word_is_found_wherever_it_names_something(build: Build) -> None:
+    better = {"keeper": "manager"}
+    assert checks.invented_words(build(), better) == []
+    text = "class IdKeeper:\n    pass\n\n\ndef keep(the_keeper):\n    keeper_s = beekeepers = 1\n"
+    assert checks.invented_words(build({"over/keeper.py": text}), better) == [
+        "over/keeper.py:1: IdKeeper: say manager",
+        "over/keeper.py:1: keeper: say manager",
+        "over/keeper.py:5: the_keeper: say manager",
+        "over/keeper.py:6: keeper_s: say manager",
+    ]
+
+
 def test_a_full_folder_is_found(build: Build) -> None:
     assert checks.full_folders(build(), {"under": "why"}) == ["under: a reason for a folder that is not full"]
     house = build({f"over/room_{k}.py": "" for k in range(12)})

@@ -11,7 +11,7 @@ import typer
 from api.cli.errors import EXIT_CONTINGENCY, BadInputError
 
 if TYPE_CHECKING:
-    from link.streamer import VehicleDesk
+    from link.streamer import VehicleClient
 
 vehicle = typer.Typer(
     no_args_is_help=True, help="Identify a vehicle, or give back what flights left changed on it (from the journal)."
@@ -47,7 +47,7 @@ def identify(
     """Say who it is, what it does, whom it hears and how it signs. Nothing is written to it."""
     from link.files import FileJournal
 
-    told = _at_desk(link, vehicle_id, signing_key, timeout, lambda desk: desk.identify(FileJournal()))
+    told = _with_client(link, vehicle_id, signing_key, timeout, lambda client: client.identify(FileJournal()))
     typer.echo(json.dumps(told, indent=1) if as_json else "\n".join(identity_lines(told)))
 
 
@@ -72,26 +72,26 @@ def restore(
     """
     from link.files import FileJournal
 
-    done = _at_desk(
+    done = _with_client(
         link,
         vehicle_id,
         signing_key,
         timeout,
-        lambda desk: desk.restore(FileJournal(), unlock=unlock, ids_while_armed=ids_while_armed),
+        lambda client: client.restore(FileJournal(), unlock=unlock, ids_while_armed=ids_while_armed),
     )
     typer.echo(json.dumps(done, indent=1) if as_json else "\n".join(restored_lines(done)))
     return EXIT_CONTINGENCY if done["failed"] else 0
 
 
-def _at_desk(
-    url: str, system_id: int | None, key: str | None, timeout_s: float, ask: Callable[[VehicleDesk], dict[str, Any]]
+def _with_client(
+    url: str, system_id: int | None, key: str | None, timeout_s: float, ask: Callable[[VehicleClient], dict[str, Any]]
 ) -> dict[str, Any]:
     from link.errors import LinkError
-    from link.streamer import open_desk, registered_flights
+    from link.streamer import open_vehicle_client, registered_flights
 
     try:
-        with open_desk(url, system_id=system_id, signing_key=_checked(key), timeout_s=timeout_s) as desk:
-            return ask(desk)
+        with open_vehicle_client(url, system_id=system_id, signing_key=_checked(key), timeout_s=timeout_s) as client:
+            return ask(client)
     except LinkError as error:
         flies = next((one for one in registered_flights() if url in one.urls), None)
         fix = None if flies is None else f"it is flown: skyrelay flight {flies.flight_id}"
@@ -109,7 +109,7 @@ def _checked(key: str | None) -> str | None:
 
 
 def identity_lines(told: Mapping[str, Any]) -> list[str]:
-    """What `link.streamer.VehicleDesk.identify` found, for people."""
+    """What `link.streamer.VehicleClient.identify` found, for people."""
     signed = "signed" if told["signed"] else "not signed"
     lines = [
         f"{told['autopilot']} {told['version'] or '(tells no version)'}, system {told['system_id']}",
@@ -137,7 +137,7 @@ def ownership_text(told: Mapping[str, Any]) -> str:
 
 
 def restored_lines(done: Mapping[str, Any]) -> list[str]:
-    """What `link.streamer.VehicleDesk.restore` did, for people."""
+    """What `link.streamer.VehicleClient.restore` did, for people."""
     texts = (
         ("given_back", "given back"),
         ("as_before", "as before already"),

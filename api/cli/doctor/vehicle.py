@@ -151,11 +151,11 @@ def _ownership(url: str, asked_as: int, timeout_s: float) -> list[Check]:
     from link.errors import LinkError
     from link.files import FileJournal
     from link.preflight import Check, Level
-    from link.streamer import open_desk
+    from link.streamer import open_vehicle_client
 
     try:
-        with open_desk(url, timeout_s=timeout_s) as desk:
-            told = desk.identify(FileJournal())
+        with open_vehicle_client(url, timeout_s=timeout_s) as client:
+            told = client.identify(FileJournal())
     except LinkError:
         return []  # why, the other client says
     signed = "its frames are signed: a flight needs its key" if told["signed"] else "its frames are not signed"

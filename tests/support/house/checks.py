@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from tests.support.house.modules import House, circles, statements
@@ -188,6 +189,23 @@ def long_functions(house: House, reasons: Mapping[str, str], most: int = 60) -> 
     return offences + [
         f"{where}: a reason for a function that is not long" for where in sorted(set(reasons) - set(long))
     ]
+
+
+def invented_words(house: House, better: Mapping[str, str]) -> list[str]:
+    """Names in the code that hold an invented word (a key, between underscores or capitals) for a word of the field."""
+    offences: list[str] = []
+    for module in house.modules.values():
+        names = {n.name: n.lineno for n in ast.walk(module.tree) if isinstance(n, _NAMED)}
+        names |= {n.arg: n.lineno for n in ast.walk(module.tree) if isinstance(n, ast.arg)}
+        names |= {n.id: n.lineno for n in ast.walk(module.tree) if isinstance(n, ast.Name)}
+        names[module.name.rpartition(".")[2]] = 1
+        for name, line in sorted(names.items()):
+            parts = {part.lower() for part in re.findall(r"[A-Z]?[a-z0-9]+|[A-Z]+", name)}
+            offences += [f"{module.path}:{line}: {name}: say {better[word]}" for word in sorted(parts & better.keys())]
+    return sorted(offences)
+
+
+_NAMED = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 
 def full_folders(house: House, reasons: Mapping[str, str], most: int = 12) -> list[str]:

@@ -20,7 +20,7 @@ from link.clock import UtcScale
 from link.dialect import mavlink
 from link.errors import VehicleError
 from link.handover.gcs_ids import ENFORCE
-from link.handover.restoration import Desk, is_option, read_heard, restore_changes, write_heard
+from link.handover.restoration import Microservices, is_option, read_heard, restore_changes, write_heard
 from link.microservices.command import Commander
 from link.microservices.mission_client import MissionClient
 from link.microservices.parameter import ParameterClient
@@ -49,8 +49,8 @@ LIMIT_S = 300.0
 _LINK = "link"
 
 
-class VehicleDesk:
-    """A vehicle heard over one link. Made by `open_desk`."""
+class VehicleClient:
+    """A vehicle heard over one link. Made by `open_vehicle_client`."""
 
     def __init__(self, url: str, codec: StationCodec, endpoint: Any) -> None:
         self.url = url
@@ -59,7 +59,7 @@ class VehicleDesk:
         self._probe_s = 0.0
         self.signed: bool | None = None
         """Whether its heartbeats are signed; None before one was heard."""
-        self.desk: Desk
+        self.services: Microservices
 
     # -- hearing ------------------------------------------------------------------------------------------------------
 
@@ -76,7 +76,7 @@ class VehicleDesk:
                 heard.add(message.get_srcSystem())
                 if system_id in (None, message.get_srcSystem()):
                     self._begin(known[0].name, message.get_srcSystem())
-                    self.desk.vehicle.monitor.receive(self.desk.timeline.now_s, _LINK, message, self.url)
+                    self.services.vehicle.monitor.receive(self.services.timeline.now_s, _LINK, message, self.url)
                     return
         refused = ", ".join(f"{count} {why}" for why, count in self._decoder.stats.refused.items())
         if refused:
@@ -96,7 +96,7 @@ class VehicleDesk:
         control = Control(timeline, vehicle, gate, Commander(gate.send, ids), echoes, ids)
         control.grant(_LINK, "asked")
         parameters = ParameterClient(gate.send, system_id, profile.parameter_encoding)
-        self.desk = Desk(timeline, vehicle, control, parameters, MissionClient(gate.send))
+        self.services = Microservices(timeline, vehicle, control, parameters, MissionClient(gate.send))
 
     def _probe(self) -> None:
         if time.monotonic() >= self._probe_s:
@@ -118,34 +118,34 @@ class VehicleDesk:
 
     def run(self, steps: Steps[T]) -> T:
         """A procedure, on the wall clock. Raises `VehicleError` when it takes too long."""
-        desk, deadline = self.desk, time.monotonic() + LIMIT_S
+        services, deadline = self.services, time.monotonic() + LIMIT_S
         while time.monotonic() < deadline:
-            desk.timeline.now_s = time.monotonic()
+            services.timeline.now_s = time.monotonic()
             self._probe()
             for message in self._take():
-                if desk.vehicle.monitor.receive(time.monotonic(), _LINK, message, self.url):
+                if services.vehicle.monitor.receive(time.monotonic(), _LINK, message, self.url):
                     self._pass_on(message)
             try:
                 next(steps)
             except StopIteration as end:
                 result: T = end.value
                 return result
-            for part in (desk.control.commander, desk.parameters, desk.missions):
-                part.step(desk.timeline.now_s)
-            for _, frame in desk.control.gate.take_outgoing():
+            for part in (services.control.commander, services.parameters, services.missions):
+                part.step(services.timeline.now_s)
+            for _, frame in services.control.gate.take_outgoing():
                 self._endpoint.send(frame)
         raise VehicleError(f"{self.url}: the vehicle did not answer to the end in {LIMIT_S:g} s; try again")
 
     def _pass_on(self, message: Any) -> None:
-        desk, kind = self.desk, message.get_type()
+        services, kind = self.services, message.get_type()
         if kind == "COMMAND_ACK":
-            desk.control.commander.on_ack(desk.timeline.now_s, message)
+            services.control.commander.on_ack(services.timeline.now_s, message)
         elif kind == "PARAM_VALUE":
-            desk.parameters.on_value(message)
+            services.parameters.on_value(message)
         elif kind == "PARAM_ERROR":
-            desk.parameters.on_error(message)
+            services.parameters.on_error(message)
         elif kind.startswith("MISSION_"):
-            desk.missions.on_message(desk.timeline.now_s, message)
+            services.missions.on_message(services.timeline.now_s, message)
 
     def identify(self, journal: ChangeJournal) -> dict[str, Any]:
         """Who it is, what it does, whom it hears, how it signs, and what flights left changed on it, as JSON."""
@@ -165,29 +165,29 @@ class VehicleDesk:
 
     def _who(self) -> Steps[bool]:
         """Ask for AUTOPILOT_VERSION; whether it answers us under an id that is not its own."""
-        desk, answers = self.desk, False
-        for as_vehicle in (False, True) if desk.vehicle.profile.filters_station_ids else (False,):
-            desk.control.grant(_LINK, "who is it", as_vehicle=as_vehicle)
-            ticket = desk.control.start_command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,), attempts=4)
+        services, answers = self.services, False
+        for as_vehicle in (False, True) if services.vehicle.profile.filters_station_ids else (False,):
+            services.control.grant(_LINK, "who is it", as_vehicle=as_vehicle)
+            ticket = services.control.start_command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,), attempts=4)
             yield from answered(ticket)
             answers = answers or (ticket.result is not None and not as_vehicle)
             if ticket.result is not None:
-                yield from wait_until(desk.timeline, lambda: desk.vehicle.monitor.version is not None, 2.0)
+                yield from wait_until(services.timeline, lambda: services.vehicle.monitor.version is not None, 2.0)
                 break
-        version = desk.vehicle.monitor.version
+        version = services.vehicle.monitor.version
         if version is not None:
-            default = desk.vehicle.profile.parameter_encoding
-            desk.parameters.encoding = encoding_of(int(version.capabilities), default)
+            default = services.vehicle.profile.parameter_encoding
+            services.parameters.encoding = encoding_of(int(version.capabilities), default)
         return answers
 
     def _ids(self) -> Steps[dict[str, int]]:
         """The GCS id parameters it has, by name."""
         found: dict[str, int] = {}
-        if not self.desk.vehicle.profile.filters_station_ids:
+        if not self.services.vehicle.profile.filters_station_ids:
             return found
         for names in (("MAV_GCS_SYSID", "SYSID_MYGCS"), ("MAV_GCS_SYSID_HI",), ("MAV_OPTIONS", "SYSID_ENFORCE")):
             for name in names:
-                value = yield from read_heard(self.desk, name)
+                value = yield from read_heard(self.services, name)
                 if value is not None:
                     found[name] = int(value)
                     break
@@ -196,7 +196,7 @@ class VehicleDesk:
     def _identify(self, journal: ChangeJournal) -> Steps[dict[str, Any]]:
         answers = yield from self._who()
         ids = yield from self._ids()
-        vehicle = self.desk.vehicle
+        vehicle = self.services.vehicle
         version = vehicle.monitor.version
         identity = None if version is None else Identity.from_message(version)
         enforced = any(is_option(name) and value & ENFORCE for name, value in ids.items())
@@ -216,20 +216,20 @@ class VehicleDesk:
         }
 
     def _notes(self, journal: ChangeJournal) -> list[VehicleChanges]:
-        vehicle = self.desk.vehicle
+        vehicle = self.services.vehicle
         uid = unique_id(vehicle.monitor.version)
         return [one for one in journal.pending() if one.is_of(vehicle.system_id, uid)]
 
     def _restore(self, journal: ChangeJournal, *, unlock: bool, ids_while_armed: bool) -> Steps[dict[str, Any]]:
         yield from self._who()
-        desk, notes = self.desk, self._notes(journal)
+        services, notes = self.services, self._notes(journal)
         for note in notes:
             if journal.in_use(note) and self.url in note.urls:
                 raise VehicleError(f"flight {note.flight_id} (process {note.pid}) has this vehicle: end that first")
-        armed = desk.vehicle.armed
+        armed = services.vehicle.armed
         if armed and not ids_while_armed:
             raise VehicleError(
-                f"the vehicle is armed, in {desk.vehicle.mode}: land and disarm it; its GCS ids alone can be given "
+                f"the vehicle is armed, in {services.vehicle.mode}: land and disarm it; its GCS ids alone can be given "
                 "back now (--ids-while-armed)"
             )
         parts = {"given_back": [], "as_before": [], "foreign": [], "failed": []}  # type: dict[str, list[str]]
@@ -237,29 +237,35 @@ class VehicleDesk:
             if journal.in_use(note):
                 continue
             sure = self.url in note.urls
-            done = yield from restore_changes(desk, journal, note, sure=sure, ids_alone=armed)
+            done = yield from restore_changes(services, journal, note, sure=sure, ids_alone=armed)
             for name, found in parts.items():
                 found += getattr(done, name)
         ids = yield from self._ids()
         if unlock:
             for name, value in ids.items():
                 if is_option(name) and value & ENFORCE:
-                    taken = yield from write_heard(desk, name, value & ~ENFORCE)
+                    taken = yield from write_heard(services, name, value & ~ENFORCE)
                     parts["given_back" if taken else "failed"].append(name)
                     ids[name] = value & ~ENFORCE if taken else value
         locked = any(is_option(name) and value & ENFORCE for name, value in ids.items())
-        return {"url": self.url, "system_id": desk.vehicle.system_id, "notes": len(notes), **parts, "locked": locked}
+        return {
+            "url": self.url,
+            "system_id": services.vehicle.system_id,
+            "notes": len(notes),
+            **parts,
+            "locked": locked,
+        }
 
 
 @contextlib.contextmanager
-def open_desk(
+def open_vehicle_client(
     url: str,
     *,
     system_id: int | None = None,
     signing_key: str | None = None,
     signing_state: str | None = None,
     timeout_s: float = 15.0,
-) -> Iterator[VehicleDesk]:
+) -> Iterator[VehicleClient]:
     """A vehicle behind a link URL, which no flight of this machine may use meanwhile; let go of with the block.
 
     ``signing_key``: ``file:PATH`` or ``env:NAME``; ``signing_state``: the folder its stamps are kept in.
@@ -278,9 +284,9 @@ def open_desk(
             store = SigningStore.open(Path(folder) / f"station-{OWN_ID}.stamps")
             stack.callback(store.close)
             signing = Signing(key, OWN_ID, store, allow_unsigned=(109,))
-        desk = VehicleDesk(url, StationCodec(OWN_ID, signing=signing), endpoint)
-        desk.find(system_id, timeout_s)
-        yield desk
+        client = VehicleClient(url, StationCodec(OWN_ID, signing=signing), endpoint)
+        client.find(system_id, timeout_s)
+        yield client
 
 
 def _is_autopilot(message: Any, autopilot_id: int) -> bool:
