@@ -64,7 +64,7 @@ class Airborne:
         """Why the flight stands, while it does."""
         self._since_s = 0.0
         self._at_end_s = math.inf
-        """When a return came to its end and was not settled; infinite before."""
+        """When the way came to its end; infinite before."""
         self.change = PlanChange(flight, self.chain, self.guidance)
 
     # -- beginning ----------------------------------------------------------------------------------------------------
@@ -141,14 +141,13 @@ class Airborne:
 
     @property
     def _there(self) -> bool:
-        """At the end of a return, as far as can be known: a vehicle that does not tell its place lands where it is.
+        """At the end of a return, as far as can be known; one that tells no place, or does not settle, lands too."""
+        return self._settled or self.lag.blind or self._waited
 
-        One that does not settle lands too, after a while.
-        """
-        if self._settled or self.lag.blind:
-            return True
-        if math.isinf(self._at_end_s):
-            self._at_end_s = self._timeline.now_s
+    @property
+    def _waited(self) -> bool:
+        """Whether the end of the way is `SETTLE_LIMIT_S` ago. To be asked when it has come."""
+        self._at_end_s = min(self._at_end_s, self._timeline.now_s)
         return self._timeline.now_s - self._at_end_s > SETTLE_LIMIT_S
 
     # -- is it still ours ---------------------------------------------------------------------------------------------
@@ -208,7 +207,7 @@ class Airborne:
         rate = guidance.rate_followed
         if self.lag.blind:
             self._hold(HoldReason.BLIND)
-        elif self.lag.lost or (guidance.reference.finished and self.lag.away_s > SETTLE_LIMIT_S):
+        elif self.lag.lost or (guidance.reference.finished and not self.lag.near and self._waited):
             self._hold(HoldReason.NOT_FOLLOWING)
         guidance.along_plan(dt_s, rate if timeline.state is FlightState.CRUISE else 0.0)
         if timeline.state is not FlightState.CRUISE:

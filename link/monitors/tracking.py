@@ -69,7 +69,6 @@ class LagMonitor:
         self._squares = 0.0
         self._lost_since_s: float | None = None
         self._count = 0
-        self._near_s = timeline.now_s
 
     @property
     def rms_m(self) -> float:
@@ -83,7 +82,7 @@ class LagMonitor:
     def forget(self) -> None:
         """Start anew: the stream was interrupted."""
         self._sent.clear()
-        self._judged_s = self._near_s = self._timeline.now_s
+        self._judged_s = self._timeline.now_s
         self.tracking = self._lost_since_s = None
 
     def update(self) -> None:
@@ -115,8 +114,6 @@ class LagMonitor:
         self._judged_s = timeline.now_s
         self.tracking = Tracking(time_s, error, behind, beside, flown)
         self.asked_down_m_s = -float(velocity[2])
-        if error <= NEAR_M:
-            self._near_s = timeline.now_s
         if not self.lost:
             self._lost_since_s = None
         elif self._lost_since_s is None:
@@ -154,11 +151,6 @@ class LagMonitor:
         """Whether the vehicle is known to be where it was asked to be, to `NEAR_M`."""
         tracking = self.tracking
         return self._vehicle.position is not None and tracking is not None and tracking.error_m <= NEAR_M
-
-    @property
-    def away_s(self) -> float:
-        """For how long the vehicle has not been known to be where it was asked to be."""
-        return self._timeline.now_s - self._near_s
 
     def settled(self, within_m: float, slower_m_s: float) -> bool:
         """Whether the vehicle is known to stand where it was asked to be."""

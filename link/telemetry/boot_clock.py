@@ -1,8 +1,9 @@
 """The vehicle's clock by the stamps of its messages: one kind of message with a clock of its own decides nothing.
 
 Every kind that is stamped is a witness of its own: a sensor's driver, or a damaged frame, may stamp by another clock,
-once or for ever. So a restart, or a clock set forward, is believed when two witnesses agree and nobody contradicts:
-two kinds on one new clock, or one beside a silence of everything, a HEARTBEAT that boots, or streams that all stopped.
+once or for ever. So a restart, or a clock set forward, is believed when two witnesses agree and nobody contradicts (or
+three do, and fewer contradict): two kinds on one new clock, or one beside a silence of everything, a HEARTBEAT that
+boots, or streams that all stopped.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ REBOOT_BACK_S = 3.0
 AGREE_S = 1.5
 """Two kinds on one clock are this near to each other."""
 CONTRADICTED_S = 1.0
-"""Whoever was heard on the old clock this lately contradicts a new one."""
+"""Whoever was heard on the old clock this lately contradicts a new one, unless a majority has left it:"""
+LEAST_MAJORITY = 3
 WITNESS_S = 3.0
 """A witness counts for so long."""
 SILENCE_S = 1.0
@@ -108,8 +110,9 @@ class BootClock:
         ]
         if not agreeing or one.count < 2:
             return
-        contradicted = any(now_s - heard_s <= CONTRADICTED_S for _, heard_s in self._kinds.values())
-        if contradicted and self._confirmed:
+        # A majority goes: a kind with a clock of its own may stay behind as well as run ahead.
+        old = sum(1 for _, heard_s in self._kinds.values() if now_s - heard_s <= CONTRADICTED_S)
+        if old and self._confirmed and len(agreeing) <= max(old, LEAST_MAJORITY - 1):
             return
         back = one.boot_s < self._newest[0] + 0.5 * (now_s - self._newest[1])
         if len(agreeing) < 2 and not self._second_witness(now_s, one, back=back):

@@ -7,6 +7,7 @@ import pytest
 from gcs.flight import FlightState
 from link.dialect import mavlink
 from link.telemetry.boot_clock import BootClock
+from tests.scorecard import fault_outcomes
 from tests.support.flights.tampered import TamperedFlight, altered, in_the_air
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
@@ -178,3 +179,25 @@ def test_a_clock_set_forward_is_followed_and_no_restart() -> None:
         fresh = [clock.stamp(now_s, kind, 100.0 + now_s + ahead_s) for kind in ("A", "B")]
     assert clock.reboots == 0
     assert all(fresh)
+
+
+@pytest.mark.parametrize(("followers", "follows"), [(2, False), (3, True)])
+def test_a_clock_is_followed_where_the_majority_goes_and_one_kind_stays_behind(followers: int, follows: bool) -> None:
+    """TIMESYNC answers by a clock of its own that does not jump: three streams that do outvote it, two do not."""
+    clock = BootClock()
+    kinds = [f"stream {n}" for n in range(followers)]
+    fresh: list[bool] = []
+    for k in range(100):
+        now_s = 0.1 * k
+        clock.heard(now_s)
+        clock.stamp(now_s, "TIMESYNC", 100.0 + now_s)
+        fresh = [clock.stamp(now_s, kind, 100.0 + now_s + (3600.0 if k >= 50 else 0.0)) for kind in kinds]
+    assert clock.reboots == 0
+    assert all(fresh) is follows
+
+
+@BOTH
+@pytest.mark.parametrize("fault", ["clock-jump", "clock-rate"])
+def test_a_vehicle_whose_clock_jumps_or_runs_slowly_completes_its_flight(autopilot: str, fault: str) -> None:
+    (row,) = [row for row in fault_outcomes.ROWS if row.name == fault]
+    assert fault_outcomes.judge(row, autopilot, fault_outcomes.fly(row, autopilot)) == []
