@@ -57,7 +57,7 @@ def plan_of(name: str) -> Plan:
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("autopilot", ["px4", pytest.param("ardupilot", marks=pytest.mark.soak)])
 def test_wadden_in_virtual_time(autopilot: str) -> None:
     """140 km over the Wadden Sea: every handover as planned, the true place by PROJ's own formulas, always in range."""
     plan = plan_of("wadden_relay.json")
