@@ -77,6 +77,8 @@ class VehicleMonitor:
         self.vehicle_system_id = vehicle_system_id
         self.links = {station: StationLink(station, (urls or {}).get(station, ("",))) for station in stations}
         self.heartbeat: Heartbeat | None = None
+        self.shown_since_s = math.inf
+        """Since when every HEARTBEAT has shown what the newest shows."""
         self.clock = BootClock()
         self.places = PositionGate(reach)
         self.home: HomePlace | None = None
@@ -225,7 +227,10 @@ class VehicleMonitor:
     # -- messages -----------------------------------------------------------------------------------------------------
 
     def _on_heartbeat(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        self.heartbeat = beat = Heartbeat.from_message(now_s, m)
+        beat = Heartbeat.from_message(now_s, m)
+        if self.heartbeat is None or self.heartbeat.shows != beat.shows:
+            self.shown_since_s = now_s
+        self.heartbeat = beat
         shown, count = self._beats.get(link.station_id, (beat.shows, 0))
         self._beats[link.station_id] = (beat.shows, count + 1 if shown == beat.shows else 1)
 

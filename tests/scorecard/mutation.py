@@ -46,12 +46,6 @@ MODULES: dict[str, tuple[str, ...]] = {
     "link/streamer/recorder.py": ("tests/link/streamer/test_loop.py",),
     "link/streamer/scheduling.py": ("tests/link/streamer/test_loop.py",),
     "gcs/operator_commands.py": ("tests/scorecard/test_commands.py", "tests/gcs/test_operator_commands.py"),
-    "link/monitors/battery.py": ("tests/link/monitors/test_battery_watch.py",),
-    "link/preflight/check.py": ("tests/link/preflight/test_vehicle.py",),
-    "link/preflight/failsafe_parameters.py": ("tests/link/preflight/test_failsafe_parameters.py",),
-    "link/preflight/identity.py": ("tests/link/preflight/test_vehicle.py",),
-    "link/preflight/route.py": ("tests/link/preflight/test_route.py",),
-    "link/preflight/vehicle.py": ("tests/link/preflight/test_vehicle.py",),
 }
 """What is mutated, and the fast tests that must notice."""
 NOT_RUN = ("runTest", "killed_at_any_instant", "two_processes")
