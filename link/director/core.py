@@ -172,7 +172,7 @@ class FlightCore:
 
     def tell(self) -> None:
         """What can wait until the tick's frames are out: texts, progress, the schedule. After every `step`."""
-        for severity, text in self._vehicle.monitor.take_texts():
+        for severity, text in self._vehicle.monitor.take_texts(self._timeline.now_s):
             self._timeline.emit(EventKind.TEXT, severity=severity, text=text)
         if not self.finished:
             with self.containment.of("telling"):

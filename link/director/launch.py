@@ -111,7 +111,7 @@ class Launch:
         )
         if not heard:
             over = f"over the link of {first} ({self._request.shown(first)}) in {self._request.connect_timeout_s:g} s"
-            hint = "is the vehicle there, its id and the link right?"
+            hint = self._one.heard_instead() or "is the vehicle there, its id and the link right?"
             raise Refused(f"no heartbeat of system {vehicle.system_id}, component 1 {over}: {hint}")
         heartbeat = monitor.heartbeat
         assert heartbeat is not None
@@ -174,7 +174,7 @@ class Launch:
         ticket = yield from self._command("version", mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,))
         if ticket.result is not None or not self._vehicle.profile.filters_station_ids:
             return
-        hint = "it may be locked to other stations' ids (MAV_OPTIONS bit 0)"
+        hint = self._one.heard_instead() or "it may be locked to other stations' ids (MAV_OPTIONS bit 0)"
         if not self._request.rescue:
             left = self.borrowed.note.left_by_others()
             by = f" by flight {left[-1].flight_id}" if left else ""

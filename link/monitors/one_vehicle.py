@@ -54,6 +54,7 @@ class OneVehicle:
         self._asked_over: Any = None
         self._mode: str | None = None
         self._heard_ids: dict[str, float] = {}
+        self._verdicts: dict[str, int] = {}
         self.identity: str | None = None
         """What the vehicle was claimed as."""
 
@@ -96,6 +97,23 @@ class OneVehicle:
         self._timeline.emit(
             EventKind.IDENTITY, identity=shown, unique_id=unique_id, system_id=monitor.vehicle_system_id
         )
+
+    def heard_instead(self) -> str:
+        """What comes over the links where the vehicle is not heard, or answers nothing, and what to do; else empty."""
+        monitor = self._vehicle.monitor
+        told = []
+        if monitor.other_vehicles:
+            ids = ", ".join(map(str, sorted(monitor.other_vehicles)))
+            told.append(f"system {ids} is heard: set vehicle_system_id, if that is the vehicle")
+        wrong = self._verdicts.get("wrong signature", 0)
+        if wrong:
+            told.append(f"{wrong} frames come signed with another key: their signatures are refused")
+        unsigned = self._verdicts.get("unsigned", 0) + self._verdicts.get("MAVLink 1", 0)
+        if unsigned:
+            told.append(f"{unsigned} frames come unsigned, and this link has a key: they are refused")
+        if monitor.signed and not wrong:
+            told.append("its frames are signed: it takes commands signed with its key alone")
+        return "; ".join(told)
 
     # -- judging, on the ground ---------------------------------------------------------------------------------------
 
@@ -205,6 +223,7 @@ class OneVehicle:
 
     def reflected(self, decoder: StationCodec) -> None:
         """Frames that a decoder holds for its own station's."""
+        self._verdicts.update(decoder.stats.refused)
         while decoder.returned:
             self.heard(decoder.system_id, decoder.component_id, decoder.returned.popleft())
 

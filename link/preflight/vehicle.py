@@ -196,18 +196,17 @@ def judge_vehicle(
             fix="land and disarm it",
         )
     ]
-    if battery_percent is not None:
-        low = battery_percent < BATTERY_LOW_PERCENT
-        checks.append(
-            Check(
-                "battery",
-                Level.WARNING if low else Level.PASS,
-                f"{battery_percent} % left",
-                battery_percent,
-                f"{BATTERY_LOW_PERCENT} % or more",
-                fix="charge or change it",
-            )
+    low = battery_percent is None or battery_percent < BATTERY_LOW_PERCENT
+    checks.append(
+        Check(
+            "battery",
+            Level.WARNING if low else Level.PASS,
+            "it does not tell how much is left" if battery_percent is None else f"{battery_percent} % left",
+            battery_percent,
+            f"{BATTERY_LOW_PERCENT} % or more",
+            fix="look at the battery itself" if battery_percent is None else "charge or change it",
         )
+    )
     if speedup != 1.0 or simulator_speedup is not None:
         fits = math.isclose(1.0 if simulator_speedup is None else simulator_speedup, speedup, rel_tol=1e-3)
         said = "it is no simulator" if simulator_speedup is None else f"it simulates at {simulator_speedup:g}"

@@ -24,7 +24,9 @@ from link.telemetry.plausibility import HomePlace, Position, PositionGate, Reach
 from link.telemetry.station_link import StationLink
 
 TEXT_CHUNK = 50
-SAME_TEXT_S = 2.0
+TEXT_WAIT_S = 1.0
+SAME_TEXT_S = 3.0
+MISSING = " ... "
 
 GROUND_STATION_TYPES = (mavlink.MAV_TYPE_GCS,)
 
@@ -55,6 +57,38 @@ class Heartbeat:
     def shows(self) -> tuple[bool, int]:
         """Armed or not, and the mode."""
         return self.armed, self.custom_mode
+
+
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """BATTERY_STATUS (147) of one battery: when it came, per cent left (None: not told), MAV_BATTERY_CHARGE_STATE."""
+
+    heard_s: float
+    percent: int | None
+    charge_state: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunks:
+    """A STATUSTEXT (253) of several, so far: when it began, and its parts by number.
+
+    The last part is shorter than `TEXT_CHUNK`; a text of just two or three chunks has no such part, and is shown late.
+    """
+
+    since_s: float
+    severity: int
+    parts: dict[int, str]
+
+    @property
+    def whole(self) -> bool:
+        """Whether every part has come, and the last is known to be the last."""
+        last = max(self.parts)
+        return len(self.parts[last]) < TEXT_CHUNK and len(self.parts) == last + 1
+
+    @property
+    def text(self) -> str:
+        """The parts joined, `MISSING` where one is."""
+        return "".join(self.parts.get(k, MISSING) for k in range(max(self.parts) + 1))
 
 
 class VehicleMonitor:
@@ -99,18 +133,24 @@ class VehicleMonitor:
         self.sensors: tuple[float, int] | None = None
         """SYS_STATUS: when it came, and the sensors in use that are not well."""
         self.battery_percent: int | None = None
+        self.batteries: dict[int, Battery] = {}
+        """BATTERY_STATUS (147) by the battery's id."""
         self.control_main: int | None = None
         self.control_s = -math.inf
         self.target: Any = None
         self.target_s = -math.inf
         self.board = BoardWatch(speedup)
         self.foreign_stations: dict[int, float] = {}
+        self.other_vehicles: dict[int, float] = {}
+        """When an autopilot of another system id was last heard."""
+        self.signed = False
+        """Whether the newest HEARTBEAT was signed."""
         self._own = own_system_ids
         self._reach = reach
         self._beats: dict[str, tuple[tuple[bool, int], int]] = {}
         self._texts: list[tuple[int, str]] = []
         self._recent_texts: deque[tuple[float, int, str]] = deque(maxlen=32)
-        self._chunks: dict[tuple[str, int], dict[int, str]] = {}
+        self._chunks: dict[tuple[str, int], _Chunks] = {}
         self._probe_count = 0
 
     # -- in -----------------------------------------------------------------------------------------------------------
@@ -125,6 +165,8 @@ class VehicleMonitor:
         if system != self.vehicle_system_id:
             if kind == "HEARTBEAT" and message.type in GROUND_STATION_TYPES and system not in self._own:
                 self.foreign_stations[system] = now_s
+            elif kind == "HEARTBEAT" and component == AUTOPILOT_COMPONENT and system not in self._own:
+                self.other_vehicles[system] = now_s
             return False
         if component != AUTOPILOT_COMPONENT:
             return False
@@ -196,8 +238,15 @@ class VehicleMonitor:
 
     # -- out ----------------------------------------------------------------------------------------------------------
 
-    def take_texts(self) -> list[tuple[int, str]]:
-        """(severity, text) of what the vehicle said since the last call, each once however many links brought it."""
+    def take_texts(self, now_s: float = -math.inf) -> list[tuple[int, str]]:
+        """(severity, text) of what the vehicle said since the last call, each once however many links brought it.
+
+        A long one that has not come whole within `TEXT_WAIT_S` is shown as far as it came.
+        """
+        for key, one in list(self._chunks.items()):
+            if now_s - one.since_s >= TEXT_WAIT_S:
+                del self._chunks[key]
+                self._say(now_s, one.severity, one.text)
         texts, self._texts = self._texts, []
         return texts
 
@@ -228,6 +277,7 @@ class VehicleMonitor:
 
     def _on_heartbeat(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         beat = Heartbeat.from_message(now_s, m)
+        self.signed = bool(m.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
         if self.heartbeat is None or self.heartbeat.shows != beat.shows:
             self.shown_since_s = now_s
         self.heartbeat = beat
@@ -275,6 +325,10 @@ class VehicleMonitor:
         used = m.onboard_control_sensors_present & m.onboard_control_sensors_enabled
         self.sensors = (now_s, used & ~m.onboard_control_sensors_health)
 
+    def _on_battery(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
+        percent = m.battery_remaining if 0 <= m.battery_remaining <= 100 else None
+        self.batteries[m.id] = Battery(now_s, percent, m.charge_state)
+
     def _on_version(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         self.version = m
 
@@ -286,22 +340,24 @@ class VehicleMonitor:
         self.control_main, self.control_s = m.gcs_main, now_s
 
     def _on_text(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
-        text = m.text
-        if m.id:
-            chunks = self._chunks.setdefault((link.station_id, m.id), {})
-            chunks[m.chunk_seq] = text
-            last = max(chunks)
-            if len(chunks[last]) >= TEXT_CHUNK or len(chunks) != last + 1:
-                return
-            text = "".join(chunks[k] for k in sorted(chunks))
-            del self._chunks[link.station_id, m.id]
+        if not m.id:
+            self._say(now_s, m.severity, m.text)
+            return
+        key = (link.station_id, m.id)
+        one = self._chunks.setdefault(key, _Chunks(now_s, m.severity, {}))
+        one.parts[m.chunk_seq] = m.text
+        if one.whole:
+            del self._chunks[key]
+            self._say(now_s, one.severity, one.text)
+
+    def _say(self, now_s: float, severity: int, text: str) -> None:
         # PX4 ends its texts with a tab.
         text = text.strip()
-        for heard_s, severity, before in self._recent_texts:
-            if now_s - heard_s <= SAME_TEXT_S and severity == m.severity and before == text:
+        for heard_s, before_severity, before in self._recent_texts:
+            if now_s - heard_s <= SAME_TEXT_S and before_severity == severity and before == text:
                 return
-        self._recent_texts.append((now_s, m.severity, text))
-        self._texts.append((m.severity, text))
+        self._recent_texts.append((now_s, severity, text))
+        self._texts.append((severity, text))
 
 
 _BOOTING = (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_CALIBRATING)
@@ -321,6 +377,7 @@ _HANDLERS = {
     "ESTIMATOR_STATUS": VehicleMonitor._on_estimator,
     "EXTENDED_SYS_STATE": VehicleMonitor._on_extended_state,
     "SYS_STATUS": VehicleMonitor._on_sys_status,
+    "BATTERY_STATUS": VehicleMonitor._on_battery,
     "AUTOPILOT_VERSION": VehicleMonitor._on_version,
     "SYSTEM_TIME": VehicleMonitor._on_system_time,
     "CONTROL_STATUS": VehicleMonitor._on_control_status,

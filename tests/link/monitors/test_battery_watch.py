@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from link.monitors.battery import BatteryWatch
+from link.telemetry.vehicle_monitor import Battery
 
 
 class Bench:
@@ -16,7 +17,7 @@ class Bench:
     def __init__(self) -> None:
         self.told: list[tuple[str, dict[str, Any]]] = []
         self.timeline = SimpleNamespace(now_s=0.0, alarm=lambda what, **data: self.told.append((what, data)))
-        self.monitor = SimpleNamespace(battery_percent=None)
+        self.monitor = SimpleNamespace(battery_percent=None, batteries={})
         vehicle = SimpleNamespace(monitor=self.monitor)
         self.watch = BatteryWatch(self.timeline, vehicle)  # type: ignore[arg-type]
 
@@ -93,3 +94,37 @@ def test_the_rate_is_that_of_the_newest_ten_steps() -> None:
     # 85 % left; the eleven newest steps are all of the slow rate: 850 s to go leave nothing.
     assert bench.tell(percent, time_s, 850.0) == ["the battery will not last"]
     assert bench.told[-1][1]["at_end_percent"] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(
+    ("number", "percent", "state", "told"),
+    [
+        (0, 80, 0, []),
+        (0, 4, 1, []),  # SYS_STATUS has the first one's figure
+        (0, 80, 3, ["battery 0 is critical"]),
+        (1, 20, 1, []),
+        (1, 19, 1, ["battery 1 is low"]),
+        (1, 10, 0, ["battery 1 is low"]),
+        (1, 9, 0, ["battery 1 is critical"]),
+        (1, 4, 4, ["battery 1 is an emergency"]),
+        (2, None, 5, ["battery 2 is failed"]),
+        (2, None, 6, ["battery 2 is unhealthy"]),
+        (2, None, 7, []),  # charging
+    ],
+)
+def test_every_battery_is_told_by_its_own_words(number: int, percent: int | None, state: int, told: list[str]) -> None:
+    bench = Bench()
+    bench.monitor.batteries[number] = Battery(0.0, percent, state)
+    assert bench.tell(90) == told
+    assert bench.tell(90) == []
+    if told:
+        assert bench.told[-1][1] == {"battery": number, "percent": percent}
+
+
+def test_a_battery_that_gets_worse_is_told_again_and_one_that_recovers_is_not() -> None:
+    bench = Bench()
+    found = []
+    for state in (2, 3, 2, 3, 4):
+        bench.monitor.batteries[1] = Battery(0.0, 50, state)
+        found.append(bench.tell(90))
+    assert found == [["battery 1 is low"], ["battery 1 is critical"], [], [], ["battery 1 is an emergency"]]

@@ -100,6 +100,24 @@ def test_a_probe_proves_the_link_it_came_back_over_from_when_it_was_sent() -> No
     assert math.isinf(bench.monitor.links["b"].proven_s)
 
 
+def test_a_text_that_lost_a_chunk_or_fills_its_chunks_is_shown_after_a_second() -> None:
+    bench = Bench()
+
+    def chunk(words: str, number: int, part: int) -> Any:
+        return mavlink.MAVLink_statustext_message(4, words.encode(), number, part)
+
+    # Just a hundred characters: no shorter part says that it is over.
+    bench.say(1.0, chunk("a" * 50, 1, 0))
+    bench.say(1.0, chunk("b" * 50, 1, 1))
+    # The middle one of three is lost.
+    bench.say(1.2, chunk("c" * 50, 2, 0))
+    bench.say(1.2, chunk("end", 2, 2))
+    assert bench.monitor.take_texts(1.9) == []
+    assert bench.monitor.take_texts(2.05) == [(4, "a" * 50 + "b" * 50)]
+    assert bench.monitor.take_texts(2.25) == [(4, "c" * 50 + " ... end")]
+    assert bench.monitor.take_texts(9.0) == []
+
+
 def test_texts_come_once_however_many_links_bring_them_and_chunks_are_joined() -> None:
     bench = Bench()
 
