@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import Any
 
 from gcs.errors import InputFault
-from gcs.flight import OperatorCommand, TransitionError
+from gcs.flight import FlightState, OperatorCommand, TransitionError
 from link.clock import FlightClock, PacedClock
 from link.director.core import FlightCore
 from link.director.plan_exchange import NextPlan
@@ -157,6 +157,7 @@ class Streamer:
         self._deadline_s = 0.0
         # A shared link's bytes go in once, under the first station that has it.
         self._first = {url: next(s for s, urls in request.urls.items() if url in urls) for url in self.endpoints}
+        self._lapsed = False
         self._ready: queue.SimpleQueue[tuple[int, Mapping[str, Any], NextPlan | str]] = queue.SimpleQueue()
 
     def run(self) -> int:
@@ -182,6 +183,12 @@ class Streamer:
 
     def _tick(self, now_s: float) -> None:
         self._deadline_s = self.core.step(now_s)
+        lapsed = self.core.state is FlightState.LAPSED
+        if lapsed and not self._lapsed:
+            # After it no setpoint of before may arrive.
+            for endpoint in self.endpoints.values():
+                endpoint.discard("reset: the C2 link was lost")
+        self._lapsed = lapsed
         for station, frame in self.core.take_outgoing():
             for url in self.core.routes(station, frame):
                 self.endpoints[url].send(frame)

@@ -64,6 +64,13 @@ class Endpoint(abc.ABC):
         self.stats.bytes_received += sum(map(len, received))
         return received
 
+    def discard(self, reason: str) -> None:
+        """Let nothing sent so far arrive any more, as far as that is in our hands: a stream is reset and begun anew.
+
+        Datagrams are not held. ``reason`` goes into ``stats.last_error`` of a link that is reset.
+        """
+        self._discard(reason)
+
     def fileno(self) -> int:
         """Descriptor to wait on, -1 while there is none (a lost connection); it changes with a reconnect."""
         return self._descriptor()
@@ -90,6 +97,9 @@ class Endpoint(abc.ABC):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.url}>"
+
+    def _discard(self, reason: str) -> None:  # noqa: B027 - what holds nothing has nothing to discard
+        pass
 
     @abc.abstractmethod
     def _send(self, frame: bytes) -> bool: ...

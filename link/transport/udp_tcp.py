@@ -23,6 +23,8 @@ MAX_PEERS = 8
 _MARKERS = (0xFD, 0xFE)
 _MAX_DATAGRAM = 65_535
 _MAX_PER_CALL = 1_000
+STAND_S = 0.25
+"""TCP: a queue of which nothing has left for so long (two ticks at 8 Hz) stands, and the connection is reset."""
 BACKOFF_S = (0.5, 8.0)
 """First and longest pause between attempts to connect."""
 
@@ -196,6 +198,8 @@ class TcpEndpoint(Endpoint):
         self._rest = b""
         self._pause_s = BACKOFF_S[0]
         self._next_try_s = -float("inf")
+        # Bytes put into this connection, how many of them had left it when last looked at, and when that last changed.
+        self._put, self._left, self._left_s = 0, -1, clock()
         self._upkeep()
 
     def _upkeep(self) -> None:
@@ -216,6 +220,7 @@ class TcpEndpoint(Endpoint):
         if code in (0, errno.EISCONN):
             self._is_up = True
             self._pause_s = BACKOFF_S[0]
+            self._put, self._left, self._left_s = 0, -1, self._clock()
             self.stats.connects += 1
         elif code not in (errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK):
             self._drop(os.strerror(code))
@@ -228,16 +233,36 @@ class TcpEndpoint(Endpoint):
             self._socket.close()
         self._socket, self._is_up, self._rest = None, False, b""
 
+    def _discard(self, reason: str) -> None:
+        if self._socket is None or not self._is_up:
+            return
+        # Closed with nothing lingering the kernel throws its queue away and says so to the other side.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._drop(reason)
+        self._next_try_s = -float("inf")
+
+    def _stands(self, queued: int) -> bool:
+        """Whether nothing of what is queued has left for `STAND_S`: what came late would be old."""
+        left = self._put - queued
+        if queued == 0 or left > self._left:
+            self._left, self._left_s = left, self._clock()
+        return self._clock() - self._left_s > STAND_S
+
     def _send(self, frame: bytes) -> bool:
         self._upkeep()
         if self._socket is None or not self._is_up:
             return False
-        if unsent_bytes(self._socket.fileno()) > MAX_QUEUED_BYTES:
+        queued = unsent_bytes(self._socket.fileno())
+        if self._stands(queued):
+            self._discard("reset: its queue stood")
+            return False
+        if queued > MAX_QUEUED_BYTES:
             return False
         try:
             if self._rest:
                 # A frame once begun must be finished, or the peer loses its place in the stream.
-                self._rest = self._rest[self._socket.send(self._rest) :]
+                gone = self._socket.send(self._rest)
+                self._rest, self._put = self._rest[gone:], self._put + gone
                 if self._rest:
                     return False
             count = self._socket.send(frame)
@@ -247,7 +272,7 @@ class TcpEndpoint(Endpoint):
             self.stats.send_errors += 1
             self._drop(os.strerror(error.errno) if error.errno else str(error))
             return False
-        self._rest = frame[count:]
+        self._rest, self._put = frame[count:], self._put + count
         return True
 
     def _receive(self) -> list[bytes]:

@@ -468,6 +468,16 @@ def test_the_core_is_told_when_the_last_one_leaves_and_when_one_is_back(bench: B
     assert bench.core.attended[:2] == [False, True]
 
 
+def test_a_lost_c2_link_empties_every_link_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No setpoint of before arrives after it."""
+    told: list[str] = []
+    for endpoint in bench.streamer.endpoints.values():
+        monkeypatch.setattr(endpoint, "discard", told.append)
+    bench.core.state, bench.core.last = FlightState.LAPSED, 6
+    bench.streamer.run()
+    assert told == ["reset: the C2 link was lost"] * len(bench.streamer.endpoints)
+
+
 def test_told_to_stop_it_asks_for_the_way_out_once(bench: Bench) -> None:
     bench.core.last = 10
     threading.Timer(0.05, os.kill, [os.getpid(), signal.SIGTERM]).start()

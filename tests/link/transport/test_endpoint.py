@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from link.errors import EndpointError, EndpointUrlError
 from link.transport.endpoint import MAX_QUEUED_BYTES, Endpoint
 from link.transport.opening import open_endpoint
-from link.transport.udp_tcp import BACKOFF_S, PEER_SILENCE_S, UdpInEndpoint, unsent_bytes
+from link.transport.udp_tcp import BACKOFF_S, PEER_SILENCE_S, STAND_S, UdpInEndpoint, unsent_bytes
 from link.transport.url import LinkUrl, parse_url
 
 FRAME = bytes([0xFD, 9, 0, 0, 0, 241, 190, 0, 0, 0]) + bytes(11)
@@ -405,6 +405,71 @@ def test_tcp_to_a_reader_that_stopped_keeps_nothing_back() -> None:
                 )
                 # And the link is usable again.
                 wait_until(lambda: endpoint.send(FRAME))
+
+
+def read_on(connection: socket.socket) -> None:
+    """Read until the other side ends it."""
+    while connection.recv(65536):
+        pass
+
+
+def test_a_tcp_queue_that_stands_is_thrown_away_and_the_connection_begun_anew() -> None:
+    """A reader that stalls gets nothing of before: the connection is reset, and the next one has new frames."""
+    clock = Clock()
+    with tcp_server() as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        with open_endpoint(f"tcp:127.0.0.1:{server.getsockname()[1]}", clock=clock) as endpoint:
+            connection, _ = server.accept()
+            wait_until(lambda: endpoint.receive() or endpoint.is_connected)
+            while endpoint.send(bytes(255)):
+                pass
+            clock.now_s += STAND_S - 0.05
+            assert not endpoint.send(FRAME)
+            assert endpoint.is_connected
+            clock.now_s += 0.1
+            assert not endpoint.send(FRAME)
+            assert "its queue stood" in endpoint.stats.last_error
+            with connection:
+                connection.settimeout(2.0)
+                with pytest.raises(ConnectionResetError):
+                    read_on(connection)
+            clock.now_s += 0.1
+            wait_until(lambda: endpoint.receive() or endpoint.is_connected)
+            again, _ = server.accept()
+            with again:
+                again.settimeout(2.0)
+                assert endpoint.send(FRAME)
+                assert again.recv(65536) == FRAME
+
+
+def test_a_tcp_queue_that_moves_however_slowly_does_not_stand() -> None:
+    clock = Clock()
+    with tcp_server() as server, open_endpoint(f"tcp:127.0.0.1:{server.getsockname()[1]}", clock=clock) as endpoint:
+        connection, _ = server.accept()
+        with connection:
+            wait_until(lambda: endpoint.receive() or endpoint.is_connected)
+            for _ in range(20):
+                assert endpoint.send(FRAME)
+                wait_until(lambda: unsent_bytes(endpoint.fileno()) == 0)
+                clock.now_s += 1.0
+            assert endpoint.stats.connects == 1
+
+
+def test_what_is_discarded_resets_tcp_and_leaves_datagrams_alone() -> None:
+    with tcp_server() as server, open_endpoint(f"tcp:127.0.0.1:{server.getsockname()[1]}") as endpoint:
+        connection, _ = server.accept()
+        wait_until(lambda: endpoint.receive() or endpoint.is_connected)
+        endpoint.discard("reset: a test")
+        assert endpoint.stats.last_error == "reset: a test"
+        with connection:
+            connection.settimeout(2.0)
+            with pytest.raises(ConnectionResetError):
+                connection.recv(100)
+        wait_until(lambda: endpoint.receive() or endpoint.is_connected)
+        assert endpoint.stats.connects == 2
+    with open_endpoint("udpout:127.0.0.1:9") as endpoint:
+        endpoint.discard("reset: a test")
+        assert endpoint.stats.last_error == ""
 
 
 def test_tcp_gives_up_a_connection_nobody_answers() -> None:
