@@ -91,8 +91,8 @@ class StationCodec:
 
     ``system_id`` and ``component_id`` (190 = MAV_COMP_ID_MISSIONPLANNER, a ground station) go into every frame.
     ``signing`` signs what is sent and decides what is taken; None sends unsigned and takes anything.
-    ``stream`` keeps an unfinished frame for the next call (TCP, serial); datagrams are decoded each on its own, so
-    that a broken one cannot swallow the next.
+    ``stream`` keeps an unfinished frame for the next call (TCP, serial). Datagrams are decoded each on its own, so that
+    a broken one cannot swallow the next; a frame cut at the end of one is kept, and taken where the next completes it.
 
     Raises `ValueError` for ids outside 1..255.
     """
@@ -143,28 +143,49 @@ class StationCodec:
         rules refuse are dropped and counted in ``stats``.
         """
         self.stats.bytes_received += len(data)
-        buffer = self._pending
-        buffer += data
         messages: list[Any] = []
-        start = 0
+        buffer, start = self._joined(data, messages)
+        cut: int | None = None
         while start < len(buffer):
             length = frame_length(buffer, start)
             if length is None or (length and start + length > len(buffer)):
                 if self.stream:
                     break
-                length = 0
+                cut, length = start if cut is None else cut, 0
             if length:
                 frame = bytes(buffer[start : start + length])
                 taken, message = self._open(frame, followed_by=buffer[start + length : start + length + 1])
                 if taken:
-                    start += length
+                    start, cut = start + length, None
                     if message is not None:
                         messages.append(message)
                     continue
             self.stats.garbage_bytes += 1
             start += 1
-        del buffer[:start]
+        if cut is not None:
+            # Nothing was found behind it: the rest of this frame may be in the next datagram.
+            self.stats.garbage_bytes -= len(buffer) - cut
+            start = cut
+        self._pending = bytearray(buffer[start:])
         return messages
+
+    def _joined(self, data: bytes, messages: list[Any]) -> tuple[bytearray, int]:
+        """What is to be decoded, and from where: with what an earlier call left, where the two make a frame."""
+        left, self._pending = self._pending, bytearray()
+        joined = left + data
+        if self.stream or not left:
+            return joined, 0
+        length = frame_length(joined, 0)
+        if length and length <= len(joined):
+            bad = self.stats.bad_frames
+            taken, message = self._open(bytes(joined[:length]), followed_by=joined[length : length + 1])
+            if taken:
+                if message is not None:
+                    messages.append(message)
+                return joined, length
+            self.stats.bad_frames = bad
+        self.stats.garbage_bytes += len(left)
+        return bytearray(data), 0
 
     def _open(self, frame: bytes, *, followed_by: bytes | bytearray) -> tuple[bool, Any]:
         """(whether these bytes are one frame, its message if it may be handed on)."""

@@ -406,3 +406,23 @@ def test_stats_are_plain_data() -> None:
     codec = station()
     codec.decode(vehicle_frames(1)[0])
     assert dataclasses.asdict(codec.stats)["received"] == 1
+
+
+@pytest.mark.parametrize("size", [44, 50, 57, 64, 100])
+def test_frames_cut_at_the_borders_of_datagrams_are_put_together(size: int) -> None:
+    """A serial bridge that fills its datagrams cuts frames anywhere: none is lost, and none counts as damage."""
+    codec, stream = station(), b"".join(vehicle_frames(40))
+    pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
+    told = [number for piece in pieces for number in numbers(codec.decode(piece))]
+    assert told == list(range(40))
+    assert (codec.stats.garbage_bytes, codec.stats.bad_frames) == (0, 0)
+
+
+def test_a_cut_frame_whose_rest_never_comes_swallows_nothing() -> None:
+    codec = station()
+    first, second, third = vehicle_frames(3)
+    assert codec.decode(first[:15]) == []
+    assert numbers(codec.decode(second)) == [1]
+    assert codec.stats.garbage_bytes == 15
+    assert numbers(codec.decode(third)) == [2]
+    assert codec.stats.bad_frames == 0
