@@ -258,7 +258,7 @@ class FlightCore:
 
     def summary(self) -> dict[str, Any]:
         """How the flight went, in figures."""
-        return summary(self.context, self.airborne, self.lateness)
+        return summary(self.context, self.airborne, self.lateness, late_s=self.announcer.late_s)
 
     def _ask_for_telemetry(self) -> None:
         """The station in control asks for what the flight is watched by, on every link that has come to send."""

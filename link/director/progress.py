@@ -14,6 +14,8 @@ PROGRESS_S = 1.0
 RETIMED_S = 1.0
 FOREIGN_S = 30.0
 BEHIND_RATE = 0.98
+LATE_S = 2.0
+"""An arrival so much later than planned is told as an alarm."""
 
 
 class Announcer:
@@ -30,6 +32,8 @@ class Announcer:
         self._told_t0 = False
         self._plan_sha256 = flight.plan.plan_sha256
         self._behind = False
+        self.late_s: float | None = None
+        """How much later than planned the flight arrived; None before."""
         self.lapse = LapseWatch(flight, airborne.lost_link)
         self._foreign: dict[int, float] = {}
 
@@ -45,6 +49,7 @@ class Announcer:
         self.lapse.update()
         self._retime()
         self._tell_behind()
+        self._tell_late()
         if timeline.now_s - self._progress_s >= PROGRESS_S:
             self._progress_s = timeline.now_s
             timeline.emit(EventKind.PROGRESS, **self.where())
@@ -88,6 +93,14 @@ class Announcer:
             timeline.alarm("the vehicle falls behind", behind_m=round(tracking.behind_m, 1))
         if behind or reference.rate == 1.0:
             self._behind = behind
+
+    def _tell_late(self) -> None:
+        timeline = self._timeline
+        if self.late_s is not None or timeline.state is not FlightState.ARRIVED or timeline.t_plus_s is None:
+            return
+        self.late_s = timeline.t_plus_s - self._flight.plan.mission_time_s
+        if self.late_s > LATE_S:
+            timeline.alarm("arrived late", late_s=round(self.late_s, 1))
 
     def where(self) -> dict[str, Any]:
         """The flight now, as JSON."""

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from link.streamer import FlightResult
 
 _NOT_PLANNED = ("abort", "land")
+LATE_S = 2.0
+"""An arrival later than that is not as planned."""
 FAR_OFF_PLAN_M = 10.0
 """A vehicle that was so far from where the plan had it did not fly as planned."""
 _WORTH_TELLING = {"released", "late", "failed", "timed_out", "refused"}
@@ -189,6 +191,9 @@ def result_lines(
     told = [*dict.fromkeys(not_planned)]
     if worst_m > FAR_OFF_PLAN_M:
         told.append(f"up to {worst_m:.1f} m from where the plan had it")
+    late_s = summary.get("late_s")
+    if late_s is not None and late_s > LATE_S:
+        told.append(f"{late_s:.1f} s late")
     if completed and result.state.value == "completed":
         ended = f"arrived, not as planned: {', '.join(told)}" if told else "arrived, flown as planned"
     else:

@@ -48,6 +48,8 @@ def test_as_planned_is_never_said_after_an_abort_or_far_off_the_plan() -> None:
 
     assert told(cruising()) == "flight report: arrived, flown as planned"
     assert told(cruising(), tracking_worst_m=54.65).endswith("not as planned: up to 54.6 m from where the plan had it")
+    assert told(cruising(), late_s=1.9) == "flight report: arrived, flown as planned"
+    assert told(cruising(), late_s=17.6).endswith("arrived, not as planned: 17.6 s late")
     for word in ("abort", "land"):
         view = cruising()
         view.show("word", 3.0, "cruise", {"word": word})

@@ -248,6 +248,11 @@ def test_hold_stops_on_the_path_and_resume_goes_on(autopilot: str) -> None:
     shifts = [e.data["shift_s"] for e in one.said("retimed")]
     assert shifts[0] == 0.0
     assert 28.0 < shifts[-1] < 40.0
+    # And at the end how late it came.
+    (result,) = one.said("result")
+    assert result.data["late_s"] == pytest.approx(shifts[-1], abs=2.0)
+    (alarm,) = one.said("alarm", what="arrived late")
+    assert alarm.data["late_s"] == pytest.approx(result.data["late_s"], abs=0.06)
 
 
 @pytest.mark.slow
