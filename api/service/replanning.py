@@ -7,6 +7,8 @@ is judged by the rules of a launch, and kept with the flight.
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
 from concurrent.futures import TimeoutError as FutureTimeoutError
@@ -21,12 +23,15 @@ from gcs.jobs import PlanningPool
 from gcs.plan import read_plan
 from gcs.planning import ReplanOrder
 from link.director import judge_next
+from link.errors import SupervisorError
 
 _LIMIT_S = 20.0
 # A join that falls into a handover is tried again so much later.
 _LATER_S = (0.0, 6.0, 12.0)
 # What is accepted later than so long before the join is too late for the streamer.
 _NOTICE_S = 1.0
+# A streamer that cannot be reached is asked again so often, and so long after.
+_ENDING_LOOKS, _ENDING_LOOK_S = 10, 0.1
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ class Replanning:
         ``plan_of`` gives a plan's document by its hash. Raises a `api.service.errors.ReplanError` where the flight
         cannot be replanned now or no plan is found, `gcs.errors.MissionError`, `SupervisorError`.
         """
-        status = self._flights.streamer_status(flight_id)
+        status = self._status(flight_id)
         state = FlightState(status["state"])
         if state not in (FlightState.CRUISE, FlightState.HOLDING) or status["plan_s"] is None:
             raise ReplanStateError(f"a flight that is {state} cannot be replanned; it must cruise or hold on its path")
@@ -115,6 +120,14 @@ class Replanning:
                     break
         assert refusal is not None
         raise ReplanInfeasibleError(refusal)
+
+    def _status(self, flight_id: str) -> dict[str, Any]:
+        """What the streamer says; where it cannot be reached it may have ended just now, which is known in a moment."""
+        for _ in range(_ENDING_LOOKS):
+            with contextlib.suppress(SupervisorError):
+                return self._flights.streamer_status(flight_id)
+            time.sleep(_ENDING_LOOK_S)
+        return self._flights.streamer_status(flight_id)
 
     def _planned(self, order: ReplanOrder) -> dict[str, Any]:
         try:

@@ -59,7 +59,14 @@ def fly(plan_file: Path, vehicle: Simulator, *more: str) -> subprocess.Popen[str
         *links,
         "--json",
     ]
-    return subprocess.Popen([*command, *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # As from a terminal, even where the tests run under nohup.
+    return subprocess.Popen(
+        [*command, *more],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+    )
 
 
 def until(process: subprocess.Popen[str], state: str) -> None:

@@ -338,8 +338,15 @@ Cli = Callable[..., Outcome]
 
 @pytest.mark.slow
 def test_a_flight_of_the_service_is_spoken_to_from_the_command_line(
-    client: httpx.Client, planned: dict[str, Any], server: Server, cli: Cli
+    client: httpx.Client,
+    planned: dict[str, Any],
+    server: Server,
+    cli: Cli,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # No flight of `fly` that another test happens to have on this machine.
+    monkeypatch.setenv("SKYRELAY_STATE_DIR", str(tmp_path))
     client.put("/v1/links/far", json={"url": "udpout:127.0.0.1:9"})
     client.put("/v1/vehicles/told", json={"autopilot": "px4", "links": {"*": "far"}})
     at = ("--service", server.address)
