@@ -28,7 +28,7 @@ MOVES_M_S = 2.0
 FALLS_M_S = 4.0
 STILL_S = 3.0
 LANDED_S = 0.8
-"""A landed state, or what a HEARTBEAT shows, is a witness when told again so much later, and nothing else between."""
+"""A landed state is a witness when it was told again so much later, and nothing else in between."""
 RESTARTED_S = 30.0
 
 
@@ -91,12 +91,6 @@ class Vehicle:
         heartbeat = self.monitor.heartbeat
         return heartbeat is not None and not heartbeat.armed and heartbeat.heard_s > time_s
 
-    @property
-    def _shown_again(self) -> bool:
-        """Whether the newest HEARTBEAT shows what those of `LANDED_S` before it showed."""
-        heartbeat = self.monitor.heartbeat
-        return heartbeat is not None and heartbeat.heard_s - self.monitor.shown_since_s >= LANDED_S
-
     def down_since(self, time_s: float) -> str:
         """What agrees with a HEARTBEAT heard after ``time_s`` that shows motors off; empty while nothing does.
 
@@ -109,7 +103,7 @@ class Vehicle:
             return "it restarted"
         # A speed told with a place that never changes is a figure that got stuck, no witness.
         if position is not None and self.now_s - monitor.places.same_since_s <= STILL_S:
-            if position.velocity_ned_m_s[2] >= FALLS_M_S and self._shown_again:
+            if position.velocity_ned_m_s[2] >= FALLS_M_S:
                 return "it falls"
             if math.hypot(*position.velocity_ned_m_s[:2]) > MOVES_M_S:
                 return ""

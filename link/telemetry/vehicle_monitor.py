@@ -111,8 +111,6 @@ class VehicleMonitor:
         self.vehicle_system_id = vehicle_system_id
         self.links = {station: StationLink(station, (urls or {}).get(station, ("",))) for station in stations}
         self.heartbeat: Heartbeat | None = None
-        self.shown_since_s = math.inf
-        """Since when every HEARTBEAT has shown what the newest shows."""
         self.clock = BootClock()
         self.places = PositionGate(reach)
         self.home: HomePlace | None = None
@@ -278,8 +276,6 @@ class VehicleMonitor:
     def _on_heartbeat(self, now_s: float, link: StationLink, m: Any, fresh: bool) -> None:
         beat = Heartbeat.from_message(now_s, m)
         self.signed = bool(m.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
-        if self.heartbeat is None or self.heartbeat.shows != beat.shows:
-            self.shown_since_s = now_s
         self.heartbeat = beat
         shown, count = self._beats.get(link.station_id, (beat.shows, 0))
         self._beats[link.station_id] = (beat.shows, count + 1 if shown == beat.shows else 1)

@@ -89,21 +89,6 @@ def test_two_witnesses_of_one_frame_each_end_nothing_in_the_air(autopilot: str, 
 
 
 @BOTH
-def test_one_position_that_falls_and_one_heartbeat_without_the_armed_bit_end_nothing(autopilot: str) -> None:
-    one = in_the_air(autopilot)
-    for _ in range(6):
-        here = one.core.context.vehicle.monitor.position
-        assert here is not None
-        place = (round(here.lat_deg * 1e7), round(here.lon_deg * 1e7), round(1e3 * here.alt_amsl_m))
-        stamp_ms = round(1e3 * here.boot_s) + 20
-        one.say(mavlink.MAVLink_global_position_int_message(stamp_ms, *place, 0, 0, 0, 900, 0))
-        one.say(own_beat(one, armed=False))
-        one.run_for(0.7)
-    assert not one.core.state.ended
-    assert one.vehicle.autopilot.armed
-
-
-@BOTH
 def test_heartbeats_that_never_show_the_armed_bit_end_nothing_while_it_flies(autopilot: str) -> None:
     one = in_the_air(autopilot)
     one.tamper = altered("HEARTBEAT", base_mode=own_beat(one, armed=False).base_mode)  # type: ignore[attr-defined]
