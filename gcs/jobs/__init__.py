@@ -1,5 +1,6 @@
 """Planning as jobs in processes of their own."""
 
-from gcs.jobs.planning_pool import PlanningPool
+from gcs.jobs.opening import open_jobs
+from gcs.jobs.planning_jobs import PlanningJobs
 
-__all__ = ["PlanningPool"]
+__all__ = ["PlanningJobs", "open_jobs"]

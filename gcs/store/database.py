@@ -22,8 +22,8 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from gcs.errors import ConflictError, StoreUnavailable
 
 # The newest migration in gcs/store/migrations/versions.
-HEAD = "0003"
-EARLIER = ("0001", "0002")
+HEAD = "0004"
+EARLIER = ("0001", "0002", "0003")
 _WRITE = "skyrelay_write"
 # PostgreSQL's code for a lock that was waited for too long.
 _LOCK_NOT_AVAILABLE = "55P03"

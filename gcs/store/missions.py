@@ -1,5 +1,5 @@
 """Missions kept: versions, planning status, plans, idempotency keys. What planners do to them is
-`gcs.store.planning_queue`.
+`gcs.store.planning`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from gcs.store.tables import flights, idempotency_keys, mission_versions, missio
 from gcs.timestamps import utc_text
 
 Clock = Callable[[], datetime]
+# Told of a version, inside the transaction that changes it.
+OnVersion = Callable[[Connection, str, int], None]
 STATUSES = ("queued", "planning", "planned", "infeasible", "failed")
 
 
@@ -85,7 +87,13 @@ _JOINED = missions.join(mission_versions, missions.c.id == mission_versions.c.mi
 
 
 class MissionStore:
-    """Missions of one database. Every method raises `StoreUnavailable` when the database cannot be used."""
+    """Missions of one database. Every method raises `StoreUnavailable` when the database cannot be used.
+
+    ``on_queued`` and ``on_given_up`` are for a queue kept beside these tables, in the same database.
+    """
+
+    on_queued: OnVersion | None = None
+    on_given_up: OnVersion | None = None
 
     def __init__(self, database: Database, clock: Clock, new_id: Callable[[], str]) -> None:
         self._db = database
@@ -175,6 +183,8 @@ class MissionStore:
                 listed_number=number,
             )
         )
+        if self.on_queued is not None:
+            self.on_queued(connection, mission_id, version)
         if idempotency is not None:
             connection.execute(
                 insert(idempotency_keys).values(
@@ -314,15 +324,49 @@ class MissionStore:
             record = self._get(connection, mission_id, version)
             return self._give_up(connection, mission_id, record.version, "cancelled", stored_utc(self._clock())) > 0
 
-    @staticmethod
-    def _give_up(connection: Connection, mission_id: str, version: int | None, why: str, now: str) -> int:
+    def plan_again(
+        self, mission_id: str, version: int | None = None, *, max_queued: int | None = None
+    ) -> MissionRecord:
+        """Queue a version whose planning failed or was cancelled once more.
+
+        Raises `ConflictError` for one in another state or of an archived mission, `QueueFullError` as `add`.
+        """
+        with self._db.change() as connection:
+            self._db.lock(connection, "mission", mission_id)
+            record = self._get(connection, mission_id, version)
+            if record.archived_utc is not None:
+                raise ConflictError(f"mission {mission_id} is archived; make a new mission")
+            if record.status != "failed":
+                raise ConflictError(f"mission {mission_id} is {record.status}; only a planning that failed is repeated")
+            self._check_queue(connection, max_queued)
+            connection.execute(
+                update(mission_versions)
+                .where(mission_versions.c.mission_id == mission_id, mission_versions.c.version == record.version)
+                .values(
+                    status="queued",
+                    phase="queued",
+                    progress=0.0,
+                    error=None,
+                    owner=None,
+                    changed_utc=stored_utc(self._clock()),
+                )
+            )
+            if self.on_queued is not None:
+                self.on_queued(connection, mission_id, record.version)
+            return self._get(connection, mission_id, record.version)
+
+    def _give_up(self, connection: Connection, mission_id: str, version: int | None, why: str, now: str) -> int:
         query = update(mission_versions).where(
             mission_versions.c.mission_id == mission_id, mission_versions.c.status.in_(("queued", "planning"))
         )
         if version is not None:
             query = query.where(mission_versions.c.version == version)
         values = {"status": "failed", "phase": why, "error": f"planning was {why}", "owner": None, "changed_utc": now}
-        return connection.execute(query.values(values)).rowcount
+        given_up = connection.execute(query.values(values).returning(mission_versions.c.version)).scalars().all()
+        for one in given_up:
+            if self.on_given_up is not None:
+                self.on_given_up(connection, mission_id, int(one))
+        return len(given_up)
 
 
 def _record(row: RowMapping) -> MissionRecord:

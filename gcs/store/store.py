@@ -1,9 +1,8 @@
 """What the service remembers: missions and their plans, registries of stations, vehicles and links, flights and their
 events.
 
-`Store` opens the database, brings its tables up to date and holds the parts: ``store.missions``, ``store.queue``,
-``store.flights``,
-``store.registry``.
+`Store` opens the database, brings its tables up to date and holds the parts: ``store.missions``, ``store.planning``,
+``store.flights``, ``store.registry``.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from pathlib import Path
 from gcs.store.database import Database
 from gcs.store.flights import FlightStore
 from gcs.store.missions import Clock, MissionStore
-from gcs.store.planning_queue import PlanningQueue
+from gcs.store.planning import PlanningStore
 from gcs.store.registries import RegistryStore
 from gcs.store.safety_copy import back_up
 
@@ -42,7 +41,7 @@ class Store:
         self.database = Database(url, lock_timeout_s=lock_timeout_s)
         self.database.migrate()
         self.missions = MissionStore(self.database, now, make_id)
-        self.queue = PlanningQueue(self.database, now)
+        self.planning = PlanningStore(self.database, now)
         self.flights = FlightStore(self.database, now, make_id)
         self.registry = RegistryStore(self.database, now)
 

@@ -65,9 +65,8 @@ mission_versions = Table(
     Column("error", Text),
     Column("created_utc", _Time, nullable=False),
     Column("changed_utc", _Time, nullable=False),
-    # Who is planning it, and until when that may be believed.
+    # The attempt that is planning it.
     Column("owner", _Id),
-    Column("lease_utc", _Time),
     # What lists show of the plan, so that they need not read it.
     Column("mission_time_s", Double),
     Column("handover_count", Integer),
