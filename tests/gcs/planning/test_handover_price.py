@@ -50,6 +50,7 @@ def fastest_s(document: dict[str, Any]) -> float:
     ("name", "handovers"),
     [("handovers_1030", 10), ("handovers_1040", 12), ("handovers_1045", 4), ("wadden_relay", 6)],
 )
+@pytest.mark.slow
 def test_needless_handovers_go(name: str, handovers: int) -> None:
     assert len(planned(given(name)).handovers) <= handovers
     plan = planned(given(name), overlap_target_s=0)
@@ -66,6 +67,7 @@ def test_two_sectors_on_one_mast_do_not_hand_over_to_one_another() -> None:
     assert plan.mission_time_s <= planned(given("wadden_relay")).mission_time_s + 1.0
 
 
+@pytest.mark.slow
 def test_the_plan_says_what_fewer_handovers_cost() -> None:
     plan = planned(given("handovers_1040"))
     assert plan.fastest is not None
@@ -80,6 +82,7 @@ def test_the_plan_says_what_fewer_handovers_cost() -> None:
     assert costs["overlap_target_s"] == pytest.approx(both_s - plan.fastest.fewer_cost_s, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_more_tolerance_never_more_handovers() -> None:
     counts = [len(planned(given("handovers_1040"), handover_tolerance=t).handovers) for t in (0.0, 1e-4, 1e-3, 1e-2)]
     assert counts == sorted(counts, reverse=True)

@@ -140,6 +140,7 @@ def test_a_flight_that_stops_while_it_speeds_up_goes_on_from_there(stand_s: floa
     holds(replan(old, stand_s, at_rest=True, **FAST), old, stand_s)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_replanned_is_refused_with_a_reason() -> None:
     old = wide_plan()
     with pytest.raises(MissionInfeasible, match="is not on the plan") as refusal:

@@ -54,6 +54,7 @@ def test_a_wind_below_the_airspeed_is_no_reason_to_refuse() -> None:
 
 
 @pytest.mark.parametrize(("name", "before_s"), [("headwind", 36_811.5), ("fix_applied_16_days", 1_384_739.5)])
+@pytest.mark.slow
 def test_nearly_calm_against_the_wind_every_tenth_counts(name: str, before_s: float) -> None:
     document = field_mission(name)
     plan = planned(document)

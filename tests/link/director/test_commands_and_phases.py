@@ -117,6 +117,7 @@ def test_an_ordered_landing_ends_as_landed_by_command(autopilot: str) -> None:
 
 
 @BOTH
+@pytest.mark.slow
 def test_handovers_there_and_back_count_after_an_abort(autopilot: str) -> None:
     one = in_cruise(autopilot, 25.0)
     assert one.core.airborne.chain.leg == 1
@@ -130,6 +131,7 @@ def test_handovers_there_and_back_count_after_an_abort(autopilot: str) -> None:
 
 
 @BOTH
+@pytest.mark.slow
 def test_kind_f_a_vehicle_that_does_not_disarm_is_asked_and_then_given_up_with_the_reason(
     autopilot: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -220,6 +222,7 @@ def test_a_station_out_of_range_is_no_choice_while_one_in_range_is_heard(autopil
 
 
 @BOTH
+@pytest.mark.slow
 def test_out_of_range_is_told_again(autopilot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     one = lapsed(autopilot, hold_limit_s=600.0)
     monkeypatch.setattr(one.core.context.plan.geometry.__class__, "outside_m", lambda *_: [50.0])

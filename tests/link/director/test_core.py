@@ -453,6 +453,7 @@ def test_status_and_events_are_plain_json_whatever_the_vehicle_says() -> None:
     assert [e.sequence for e in one.events] == list(range(1, len(one.events) + 1))
 
 
+@pytest.mark.slow
 def test_progress_says_where_the_flight_is_and_what_comes_next() -> None:
     one = in_cruise("px4", 8.0)
     data = one.said("progress")[-1].data

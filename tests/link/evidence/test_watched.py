@@ -15,6 +15,7 @@ DOUBT = "the vehicle's position estimate is in doubt"
 
 @BOTH
 @pytest.mark.parametrize("kind", ["GPS_RAW_INT", "SYS_STATUS", "estimator"])
+@pytest.mark.slow
 def test_trouble_of_the_estimate_is_told_within_two_seconds_and_its_end_too(autopilot: str, kind: str) -> None:
     one = in_the_air(autopilot, 2.0)
     began_s = one.now_s
@@ -63,6 +64,7 @@ def test_a_silent_vehicle_is_told_within_two_seconds(autopilot: str, state: str)
 
 
 @BOTH
+@pytest.mark.slow
 def test_a_vehicle_that_falls_has_not_arrived_and_is_told_within_a_second(autopilot: str) -> None:
     one = in_the_air(autopilot, 3.0)
     one.run(until=lambda: one.plan_s > one.plan.mission_time_s - 5.0, limit_s=100.0)

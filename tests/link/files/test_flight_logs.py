@@ -54,6 +54,7 @@ def test_mavtogpx_shows_the_flight(tmp_path: Path) -> None:
 
 
 @BOTH
+@pytest.mark.slow
 def test_each_message_of_the_vehicle_once_however_many_links_brought_it(autopilot: str) -> None:
     bodies = Counter(
         (record.message.get_type(), record.frame[5 : 10 + record.frame[1]])

@@ -150,6 +150,7 @@ def test_the_next_flight_gives_back_before_it_takes_and_keeps_the_original(autop
 
 
 @BOTH
+@pytest.mark.slow
 def test_killed_at_any_moment_the_next_flight_gives_all_back(autopilot: str, tmp_path: Path) -> None:
     """While it takes, while it gives back, and again while the second one gives back: seeded moments of each."""
     journal = FileJournal(tmp_path)
