@@ -24,7 +24,9 @@ _MARKERS = (0xFD, 0xFE)
 _MAX_DATAGRAM = 65_535
 _MAX_PER_CALL = 1_000
 STAND_S = 0.25
-"""TCP: a queue of which nothing has left for so long (two ticks at 8 Hz) stands, and the connection is reset."""
+"""TCP: a queue of which nothing has left for so long (two ticks at 8 Hz), and a round trip more, stands."""
+_TCP_INFO_RTT = 68
+"""Where Linux's tcp_info has the smoothed round trip and its deviation: two 32-bit numbers, microseconds."""
 BACKOFF_S = (0.5, 8.0)
 """First and longest pause between attempts to connect."""
 
@@ -55,6 +57,15 @@ def unsent_bytes(descriptor: int) -> int:
         answer = fcntl.ioctl(descriptor, termios.TIOCOUTQ, struct.pack("i", 0))
         return int(struct.unpack("i", answer)[0])
     return 0
+
+
+def acknowledged_within_s(connection: socket.socket) -> float:
+    """How long an acknowledgement of this connection may take: round trip and four deviations (RFC 6298), s; else 0."""
+    with contextlib.suppress(OSError, struct.error):
+        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_RTT + 8)
+        round_trip_us, deviation_us = struct.unpack_from("=II", info, _TCP_INFO_RTT)
+        return 1e-6 * float(round_trip_us + 4 * deviation_us)
+    return 0.0
 
 
 class _UdpEndpoint(Endpoint):
@@ -242,11 +253,15 @@ class TcpEndpoint(Endpoint):
         self._next_try_s = -float("inf")
 
     def _stands(self, queued: int) -> bool:
-        """Whether nothing of what is queued has left for `STAND_S`: what came late would be old."""
+        """Whether nothing of what is queued has left for `STAND_S` and a round trip: what came late would be old.
+
+        The kernel counts what is on its way as queued until it is acknowledged, on a healthy link for a round trip.
+        """
+        assert self._socket is not None
         left = self._put - queued
         if queued == 0 or left > self._left:
             self._left, self._left_s = left, self._clock()
-        return self._clock() - self._left_s > STAND_S
+        return self._clock() - self._left_s > STAND_S + acknowledged_within_s(self._socket)
 
     def _send(self, frame: bytes) -> bool:
         self._upkeep()

@@ -19,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from link.errors import EndpointError, EndpointUrlError
+from link.transport import udp_tcp
 from link.transport.endpoint import MAX_QUEUED_BYTES, Endpoint
 from link.transport.opening import open_endpoint
 from link.transport.udp_tcp import BACKOFF_S, PEER_SILENCE_S, STAND_S, UdpInEndpoint, unsent_bytes
@@ -426,7 +427,7 @@ def test_a_tcp_queue_that_stands_is_thrown_away_and_the_connection_begun_anew() 
             clock.now_s += STAND_S - 0.05
             assert not endpoint.send(FRAME)
             assert endpoint.is_connected
-            clock.now_s += 0.1
+            clock.now_s += 0.5
             assert not endpoint.send(FRAME)
             assert "its queue stood" in endpoint.stats.last_error
             with connection:
@@ -453,6 +454,35 @@ def test_a_tcp_queue_that_moves_however_slowly_does_not_stand() -> None:
                 wait_until(lambda: unsent_bytes(endpoint.fileno()) == 0)
                 clock.now_s += 1.0
             assert endpoint.stats.connects == 1
+
+
+@pytest.mark.parametrize("round_trip_s", [0.05, 0.3, 0.6, 1.5])
+def test_a_slow_tcp_link_that_answers_is_never_reset(monkeypatch: pytest.MonkeyPatch, round_trip_s: float) -> None:
+    """What is on its way counts as queued until it is acknowledged: that is no queue that stands."""
+    clock, sent = Clock(), list[tuple[float, int]]()
+
+    def on_its_way(_: int) -> int:
+        return sum(size for at_s, size in sent if clock.now_s - at_s < round_trip_s)
+
+    monkeypatch.setattr(udp_tcp, "unsent_bytes", on_its_way)
+    monkeypatch.setattr(udp_tcp, "acknowledged_within_s", lambda _: round_trip_s)
+    with tcp_server() as server, open_endpoint(f"tcp:127.0.0.1:{server.getsockname()[1]}", clock=clock) as endpoint:
+        connection, _ = server.accept()
+        with connection:
+            wait_until(lambda: endpoint.receive() or endpoint.is_connected)
+            for _ in range(160):
+                clock.now_s += 0.125
+                assert endpoint.send(FRAME)
+                sent.append((clock.now_s, len(FRAME)))
+            assert endpoint.stats.connects == 1
+
+
+def test_the_kernel_tells_how_long_an_acknowledgement_may_take() -> None:
+    """On the loopback under a tenth of a second, and more than nothing; of what is no TCP socket it tells nothing."""
+    with tcp_server() as server, socket.create_connection(server.getsockname()) as connection:
+        assert 0.0 < udp_tcp.acknowledged_within_s(connection) < 0.1
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        assert udp_tcp.acknowledged_within_s(other) == 0.0
 
 
 def test_what_is_discarded_resets_tcp_and_leaves_datagrams_alone() -> None:
